@@ -1,0 +1,3 @@
+//! The program `freespace`.
+
+fn main() {}

@@ -1,0 +1,1 @@
+//! Stage 8, emit: the free-space message and its CAN frames.

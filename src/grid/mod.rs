@@ -1,0 +1,1 @@
+//! Stage 7, grid: road pixels to metres, fused over time.
