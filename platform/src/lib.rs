@@ -1,1 +1,5 @@
 //! Devices, threads and the program around the `freespace` core.
+
+pub mod runtime;
+pub mod segmenter;
+pub mod wheels;
