@@ -22,6 +22,19 @@ pub const MAX_LANDMARKS: usize = 3000;
 
 /// Obstacle boxes, the k of k-means.
 pub const MAX_BOXES: usize = 48;
+/// Passes of k-means over the points above the road; its centres hardly move after six.
+pub const CLUSTER_PASSES: usize = 8;
+/// Re-weighted fits of the road plane.
+pub const PLANE_PASSES: usize = 8;
+/// Bins of the plane's Hough space: distance by angle.
+pub const HOUGH_DISTANCES: usize = 64;
+/// See [`HOUGH_DISTANCES`].
+pub const HOUGH_ANGLES: usize = 41;
+
+/// Bearing sectors of the free-distance boundary; eight CAN frames of four.
+pub const SECTORS: usize = 32;
+/// Cells a grid may have: 60 m by 40 m at 0.1 m.
+pub const MAX_CELLS: usize = 240_000;
 
 /// Classes a network may know.
 pub const MAX_CLASSES: usize = 32;

@@ -11,6 +11,7 @@
 extern crate alloc;
 
 pub mod budget;
+pub mod health;
 pub mod space;
 
 pub mod frame;

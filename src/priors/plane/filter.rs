@@ -1,0 +1,89 @@
+//! The plane from key frame to key frame.
+//!
+//! In: plane fits. Out: what to expect next. Invariant: without fits the expectation returns to the mount's plane, with the
+//! mount's uncertainty: pitch within a second (springs), height over a minute. Cost: constant.
+//! Source: an Ornstein-Uhlenbeck process a slope, whose stationary spread is the mount's.
+
+use nalgebra::Vector3;
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
+use num_traits::Float as _;
+
+use super::{PlaneConfig, PlaneFit, Slopes, plane_of, slopes_of};
+use crate::space::{Mount, Plane};
+
+/// Memory of distance, pitch and roll in seconds: load changes, springs, road crown.
+const MEMORY_S: [f64; 3] = [60.0, 1.5, 3.0];
+
+/// Expected slopes of the road plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneFilter {
+    nominal: Slopes,
+    stationary: Slopes,
+    mean: Slopes,
+    variance: Slopes,
+}
+
+impl PlaneFilter {
+    /// Expects the mount's plane.
+    #[must_use]
+    pub fn new(mount: &Mount, config: &PlaneConfig) -> Self {
+        let level = Vector3::new(mount.height_m, 0.0, 0.0);
+        let nominal = slopes_of(&mount.plane_in_camera()).unwrap_or(level);
+        let stationary = Vector3::new(
+            config.distance_sigma_m,
+            config.pitch_sigma_rad,
+            config.roll_sigma_rad,
+        )
+        .map(|sigma| (sigma * sigma).max(1e-10));
+        Self {
+            nominal,
+            stationary,
+            mean: nominal,
+            variance: stationary,
+        }
+    }
+
+    /// Moves the expectation on by `seconds`.
+    pub fn predict(&mut self, seconds: f64) {
+        for i in 0..3 {
+            let kept = (-seconds.max(0.0) / MEMORY_S[i]).exp();
+            self.mean[i] = self.nominal[i] + kept * (self.mean[i] - self.nominal[i]);
+            self.variance[i] = kept * kept * self.variance[i] + (1.0 - kept * kept) * self.stationary[i];
+        }
+    }
+
+    /// Takes over a fit that had this expectation as its prior.
+    pub fn update(&mut self, fit: &PlaneFit) {
+        self.mean = fit.slopes;
+        for i in 0..3 {
+            self.variance[i] = fit.variance[i].clamp(1e-10, self.stationary[i]);
+        }
+    }
+
+    /// Expected slopes.
+    #[must_use]
+    pub const fn expected(&self) -> Slopes {
+        self.mean
+    }
+
+    /// Variances of the expected slopes.
+    #[must_use]
+    pub const fn variance(&self) -> Slopes {
+        self.variance
+    }
+
+    /// The expected plane, in camera space.
+    #[must_use]
+    pub fn plane(&self) -> Plane {
+        plane_of(&self.mean)
+    }
+
+    /// Standard deviation of the plane's height at a distance ahead.
+    #[must_use]
+    pub fn height_sigma_m(&self, ahead_m: f64) -> f64 {
+        (self.variance[0] + self.variance[1] * ahead_m * ahead_m).sqrt()
+    }
+}
