@@ -89,7 +89,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             seed: seed as u32,
             read_noise: shares.between(0.5, 3.0) as f32,
             shot_noise: shares.between(0.5, 4.0) as f32,
-            shutter_s: shares.between(0.0, 0.012) as f32,
+            shutter_s: shares.between(0.0, 0.006) as f32,
             vignette: shares.between(0.0, 0.5) as f32,
             soft: shares.between(0.0, 1.0) < 0.7,
             exposure: shares.between(0.65, 1.5) as f32,

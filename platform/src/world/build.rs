@@ -111,18 +111,20 @@ pub(super) fn tree(parts: &mut Vec<Part>, random: &mut Seeded, at: [f32; 2], siz
     let rgb = style.leaf_rgb.map(|c| c * green);
     let bark = [0.09, 0.075, 0.06];
     let yaw = random.range(0.0, 6.0);
-    let offsets = [0; 6].map(|_| random.range(-0.9, 0.9));
     let slim = random.chance(0.2);
+    let trunk = random.range(1.6, 2.6) * size;
+    let crowns = if slim { 1 } else { 4 };
+    let offsets = [0; 12].map(|_| random.range(-1.0, 1.0));
     let mut b = builder(parts, random, [at[0], at[1], 0.0], yaw, Label::Far);
-    let trunk = 2.2 * size;
-    b.part(Shape::Post, Material::Bark, [0.0; 3], [0.16 * size, 0.16 * size, trunk + 1.5], bark).label = Label::Roadside as u8;
-    let r = if slim { 1.2 } else { 2.5 } * size;
-    b.part(Shape::Ellipsoid, Material::Foliage, [0.0, 0.0, trunk], [r, r, 5.2 * size], rgb);
-    if !slim {
-        for k in 0..2 {
-            let [x, y, z] = [offsets[3 * k] * r, offsets[3 * k + 1] * r, trunk + (0.8 + offsets[3 * k + 2]) * size];
-            b.part(Shape::Ellipsoid, Material::Foliage, [x, y, z], [0.7 * r, 0.75 * r, 3.2 * size], rgb.map(|c| c * 0.92));
-        }
+    b.part(Shape::Post, Material::Bark, [0.0; 3], [0.15 * size, 0.15 * size, trunk + 1.5], bark).label = Label::Roadside as u8;
+    let r = if slim { 1.2 } else { 2.2 } * size;
+    b.part(Shape::Ellipsoid, Material::Foliage, [0.0, 0.0, trunk], [r, r, if slim { 6.0 } else { 4.6 } * size], rgb);
+    for k in 1..crowns {
+        let [x, y, z] = [0, 1, 2].map(|i| offsets[3 * k + i]);
+        let place = [0.75 * x * r, 0.75 * y * r, trunk + (1.1 + 1.1 * z) * size];
+        let wide = r * (0.62 + 0.12 * z);
+        b.detail = (b.detail + 0.37).fract();
+        b.part(Shape::Ellipsoid, Material::Foliage, place, [wide, wide * 1.1, 2.9 * size], rgb.map(|c| c * (1.0 + 0.12 * x)));
     }
 }
 

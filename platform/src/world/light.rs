@@ -106,11 +106,11 @@ fn reflectance(part: &Part, hit: &Hit, textures: &Textures, foot_m: f32, gloss: 
             1.0 + 0.4 * at(40.0, &textures.stains) + rows
         }
         Material::Foliage => {
-            let (u, v) = part.foliage_texel(hit.point);
+            let (u, v) = part.foliage_texel(hit.point, hit.normal);
             let (l, m) = (level(foot_m * 110.0), level(foot_m * 22.0));
             let fine = textures.leaves.sample(u, v, l, l);
             let coarse = textures.leaves.sample(0.2 * u, 0.2 * v, m, m);
-            (0.75 + 0.75 * fine + 0.5 * coarse) * (0.55 + 0.45 * (z / part.height).clamp(0.0, 1.0))
+            (0.85 + 0.85 * fine + 0.6 * coarse) * (0.5 + 0.5 * (z / part.height).clamp(0.0, 1.0))
         }
         Material::Plaster | Material::Brick => return wall(part, hit, along, textures, foot_m, gloss),
         Material::Pickets => {

@@ -10,7 +10,7 @@
 )]
 
 use super::build::{car, house, hedge, fence, person, post, tree};
-use super::noise::Seeded;
+use super::noise::{Seeded, wave};
 use super::road::{BEHIND_M, BEYOND_M, Road};
 use super::shape::Part;
 use super::style::{Kind, Style};
@@ -148,10 +148,13 @@ impl Row<'_> {
         let height = if green { random.range(0.7, 2.4) } else { random.range(0.5, 1.7) };
         let kind = random.word();
         let length = 4.0;
-        self.walk(random, (each_hundred * 2.4).min(25.0), |random, s| {
-            let s = (s / length).floor() * length;
-            if !self.clear(s, length * 0.5 + style.pavement_m[self.side] + 0.5) {
-                return;
+        // Runs where a slow wave is high enough.
+        let least = if highway { -2.0 } else { 0.75 - 0.2 * each_hundred };
+        let mut s = -BEHIND_M as f32;
+        while s < self.end {
+            s += length;
+            if wave(kind, s / 24.0) < least || !self.clear(s, length * 0.5 + style.pavement_m[self.side] + 0.5) {
+                continue;
             }
             let (x, y, heading) = self.place(s, if highway { 0.8 } else { self.front_m() + 0.5 });
             let tall = height * random.range(0.9, 1.1);
@@ -162,7 +165,7 @@ impl Row<'_> {
                     fence(parts, random, [x, y], heading, 0.5 * length + 0.05, if highway { 0.75 } else { height }, kind);
                 }
             });
-        });
+        }
     }
 
     fn trees(&self, scene: &mut Scene, random: &mut Seeded) {

@@ -99,6 +99,6 @@ impl Shadow {
             return 1.0 - solid;
         }
         let leaves = textures.leaves.sample(s * 75.0, d * 75.0, level(foot.along_m * 75.0), level(foot.across_m * 75.0));
-        (1.0 - solid) * (1.0 - smoothstep(0.3, 0.75, leafy + 0.6 * leaves))
+        (1.0 - solid) * (1.0 - smoothstep(0.35, 0.7, leafy * 0.95 + 0.65 * leaves))
     }
 }

@@ -147,29 +147,37 @@ impl Part {
             return None;
         }
         let point = [0, 1, 2].map(|k| o[k] + distance * r[k]);
+        let n = [0, 1, 2].map(|k| (p[k] + distance * q[k]) / radii[k]);
+        let scale = 1.0 / dot(n, n).sqrt().max(1e-9);
+        let normal = n.map(|c| c * scale);
         if self.material == Material::Foliage {
             // Depth of the ray in the crown, 0 at the silhouette: thin foliage lets the view through between leaves.
             let depth = under / a;
-            if depth < 0.55 {
-                let l = level(distance * 0.05);
-                let (u, v) = self.foliage_texel(point);
-                if textures.leaves.sample(u, v, l, l) * 0.5 + 0.25 > depth * 1.6 {
+            if depth < 0.7 {
+                let (fine, coarse) = (level(distance * 0.06), level(distance * 0.012));
+                let (u, v) = self.foliage_texel(point, normal);
+                let leaves = textures.leaves.sample(u, v, fine, fine);
+                let clumps = textures.leaves.sample(0.2 * u, 0.2 * v, coarse, coarse);
+                if 0.35 * leaves + 0.5 * clumps + 0.3 > depth * 1.7 {
                     return None;
                 }
             }
         }
-        let n = [0, 1, 2].map(|k| (p[k] + distance * q[k]) / radii[k]);
-        let scale = 1.0 / dot(n, n).sqrt().max(1e-9);
-        Some(Hit { distance, point, normal: n.map(|c| c * scale) })
+        Some(Hit { distance, point, normal })
     }
 
-    /// Texel of a point on foliage: an oblique projection, so that no seam shows.
-    pub(super) fn foliage_texel(&self, point: [f32; 3]) -> (f32, f32) {
+    /// Texel of a point on foliage, projected along the axis its surface faces most; leaves hide the seams.
+    pub(super) fn foliage_texel(&self, point: [f32; 3], normal: [f32; 3]) -> (f32, f32) {
         let [x, y, z] = point;
-        (
-            110.0 * (x + 0.53 * z) + self.detail * 512.0,
-            110.0 * (0.8 * z + 0.9 * y - 0.4 * x) + self.detail * 911.0,
-        )
+        let [nx, ny, nz] = normal.map(f32::abs);
+        let (u, v) = if nz > nx && nz > ny {
+            (x, y)
+        } else if nx > ny {
+            (y, z)
+        } else {
+            (x, z)
+        };
+        (110.0 * u + self.detail * 512.0, 110.0 * v + self.detail * 911.0)
     }
 
     /// A cylinder about the third of `o`'s axes, within `centre +- half` of it; `order` puts the axes back in place.

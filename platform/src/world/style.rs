@@ -183,10 +183,10 @@ impl Style {
         let height = r.range(0.3, 1.15);
         let azimuth = r.range(-std::f32::consts::PI, std::f32::consts::PI);
         let sun = [azimuth.cos() * height.cos(), azimuth.sin() * height.cos(), height.sin()];
-        let power = if sunny { r.range(1.4, 3.4) } else { 0.0 };
+        let power = if sunny { r.range(1.5, 4.5) } else { 0.0 };
         let warm = 0.25 * (0.7 - height).max(0.0) + r.range(0.0, 0.1);
         let sun_rgb = [power * (1.0 + warm), power, power * (1.0 - 1.5 * warm)];
-        let sky_tone = r.range(0.8, 1.1);
+        let sky_tone = if sunny { r.range(0.5, 0.95) } else { r.range(0.8, 1.1) };
         let blue = if sunny { r.range(0.05, 0.3) } else { r.range(0.0, 0.08) };
         let sky_light_rgb = [sky_tone * (1.0 - blue), sky_tone, sky_tone * (1.0 + blue)];
         let clouds = if sunny { r.range(0.0, 0.7) } else { r.range(0.8, 1.0) };
@@ -220,16 +220,16 @@ impl Style {
             gutter_rgb,
             marking_rgb,
             leaf_rgb,
-            grain: r.range(0.25, 0.8),
+            grain: r.range(0.5, 1.3),
             cracks: if r.chance(0.7) { r.range(0.1, 0.7) } else { 0.0 },
-            stains: r.range(0.1, 0.55),
+            stains: r.range(0.1, 0.6),
             patches: if highway { 0.05 } else { r.range(0.0, 0.5) },
             centre_dashes: r.chance(marked),
             edge_lines: r.chance(if urban || residential { 0.25 } else { 0.85 }),
             marking_wear: r.range(0.0, 0.8),
-            trees: scale * r.range(1.0, if urban { 7.0 } else { 14.0 }),
+            trees: scale * r.range(1.0, if urban { 8.0 } else { 18.0 }),
             houses: if rural { 0.4 } else { scale * r.range(2.0, 6.5) },
-            hedges: scale * if urban { r.range(0.0, 3.0) } else { r.range(0.0, 8.0) },
+            hedges: scale * if urban { r.range(0.0, 4.0) } else { r.range(1.0, 9.0) },
             fences: if highway { 25.0 } else { r.range(0.0, 5.0) },
             posts: r.range(1.0, 5.0),
             parked: if urban || residential { r.range(0.0, 9.0) } else { 0.0 },

@@ -27,7 +27,7 @@ pub(super) struct Tile {
 
 /// The level whose texels are about as long as `footprint` base texels.
 pub(super) fn level(footprint: f32) -> usize {
-    let exponent = ((footprint.max(0.5) * 1.42).to_bits() >> 23) as i32 - 127;
+    let exponent = ((footprint.max(0.5) * 1.15).to_bits() >> 23) as i32 - 127;
     exponent.clamp(0, LEVELS as i32 - 1) as usize
 }
 
