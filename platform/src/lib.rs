@@ -3,3 +3,4 @@
 pub mod runtime;
 pub mod segmenter;
 pub mod wheels;
+pub mod world;

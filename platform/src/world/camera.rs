@@ -1,0 +1,518 @@
+//! The simulated camera: draws what the ego car sees, with the faults of a real sensor.
+//!
+//! In: a [`World`], a time. Out: an RGB or luma frame, and of the same rays the labels and depths. Order: parts into the
+//! depth buffer, then every pixel is shaded once, then lens softness and noise. Motion blurs the road along the way it
+//! runs past. All buffers are allocated by [`SimCamera::new`].
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::cast_precision_loss,
+    clippy::cast_possible_wrap,
+    reason = "pixel arithmetic: coordinates are bounded by the image"
+)]
+
+use freespace::frame::{Camera, GrayImage, RayTable, RgbImage};
+use freespace::space::Pose;
+
+use super::World;
+use super::ground::Footprint;
+use super::light::lit;
+use super::noise::{floor, hash, wave};
+use super::raster::{DepthBuffer, Extent, Frame, View, nearest_m};
+use super::scene::{NEAR_M, Scene};
+use super::shape::Part;
+use super::truth::Label;
+
+/// Side of the window of ground whose road coordinates are kept, in metres and nodes.
+const WINDOW: usize = 256;
+/// How far ahead of the camera the window is centred.
+const WINDOW_AHEAD_M: f32 = 88.0;
+const TONES: usize = 4096;
+
+/// The sensor's faults.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensor {
+    /// Seed of the noise.
+    pub seed: u32,
+    /// Read noise, standard deviation in grey levels.
+    pub read_noise: f32,
+    /// Shot noise at full scale, standard deviation in grey levels.
+    pub shot_noise: f32,
+    /// Time the shutter is open, which blurs the moving road.
+    pub shutter_s: f32,
+    /// Slow change of the exposure, as a share.
+    pub exposure_drift: f32,
+    /// A sudden change of the exposure: from this time on, by this factor.
+    pub exposure_step: Option<(f64, f32)>,
+    /// Share of light missing in the corners.
+    pub vignette: f32,
+    /// Whether the lens spreads each point over its neighbours, as real ones do.
+    pub soft: bool,
+    /// Factor on the exposure that suits the world.
+    pub exposure: f32,
+}
+
+impl Default for Sensor {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            read_noise: 1.2,
+            shot_noise: 2.2,
+            shutter_s: 0.004,
+            exposure_drift: 0.08,
+            exposure_step: None,
+            vignette: 0.25,
+            soft: true,
+            exposure: 1.0,
+        }
+    }
+}
+
+/// Road coordinates of the ground around the camera, on whole metres.
+#[derive(Clone, Debug)]
+struct Window {
+    /// Which node of the plane each slot holds.
+    nodes: Box<[[i32; 2]]>,
+    coordinates: Box<[[f32; 2]]>,
+    first: [i32; 2],
+}
+
+impl Window {
+    fn new() -> Self {
+        Self {
+            nodes: vec![[i32::MIN; 2]; WINDOW * WINDOW].into_boxed_slice(),
+            coordinates: vec![[0.0; 2]; WINDOW * WINDOW].into_boxed_slice(),
+            first: [0; 2],
+        }
+    }
+
+    fn slot(x: i32, y: i32) -> usize {
+        (y as usize & (WINDOW - 1)) * WINDOW + (x as usize & (WINDOW - 1))
+    }
+
+    fn centre(&mut self, world: &World, x: f32, y: f32) {
+        let half = WINDOW as i32 / 2;
+        self.first = [floor(x) - half, floor(y) - half];
+        for j in self.first[1]..self.first[1] + WINDOW as i32 {
+            for i in self.first[0]..self.first[0] + WINDOW as i32 {
+                let slot = Self::slot(i, j);
+                if self.nodes[slot] != [i, j] {
+                    let (s, d) = world.road.locate(f64::from(i), f64::from(j));
+                    self.coordinates[slot] = [s as f32, d as f32];
+                    self.nodes[slot] = [i, j];
+                }
+            }
+        }
+    }
+
+    /// `(s, d)` and the change of `s` along x and y; none outside the window.
+    #[inline]
+    fn at(&self, x: f32, y: f32) -> Option<([f32; 2], [f32; 2])> {
+        let (i, j) = (floor(x), floor(y));
+        let (u, v) = (i - self.first[0], j - self.first[1]);
+        let inside = 0..WINDOW as i32 - 1;
+        if !inside.contains(&u) || !inside.contains(&v) {
+            return None;
+        }
+        let (fx, fy) = (x - i as f32, y - j as f32);
+        let a = self.coordinates[Self::slot(i, j)];
+        let b = self.coordinates[Self::slot(i + 1, j)];
+        let c = self.coordinates[Self::slot(i, j + 1)];
+        let e = self.coordinates[Self::slot(i + 1, j + 1)];
+        let at = |k: usize| {
+            let (top, bottom) = (a[k] + (b[k] - a[k]) * fx, c[k] + (e[k] - c[k]) * fx);
+            top + (bottom - top) * fy
+        };
+        Some(([at(0), at(1)], [b[0] - a[0], c[0] - a[0]]))
+    }
+}
+
+/// A soft dark patch under something on the road.
+#[derive(Clone, Copy, Debug)]
+struct Decal {
+    base: [f32; 3],
+    turn: [f32; 2],
+    half: [f32; 2],
+    soft: f32,
+    /// Share of sky light hidden, share of sunlight hidden.
+    hides: [f32; 2],
+}
+
+/// A camera on the ego car.
+#[derive(Clone, Debug)]
+pub struct SimCamera {
+    camera: Camera,
+    sensor: Sensor,
+    frame: Frame,
+    /// Unit rays in camera space, then in world space.
+    rays: Box<[[f32; 3]]>,
+    world_rays: Box<[[f32; 3]]>,
+    gain: Box<[f32]>,
+    buffer: DepthBuffer,
+    hidden: Box<[[u8; 2]]>,
+    labels: Box<[u8]>,
+    depth_m: Box<[f32]>,
+    window: Window,
+    movers: Scene,
+    order: Vec<(f32, u32)>,
+    decals: Vec<Decal>,
+    raw: RgbImage,
+    developed: RgbImage,
+    tones: Box<[u8]>,
+    pose: Pose,
+    world_seed: Option<u64>,
+}
+
+impl SimCamera {
+    /// Prepares the ray of every pixel.
+    #[must_use]
+    pub fn new(camera: &Camera, sensor: &Sensor) -> Self {
+        let (width, height) = (camera.width, camera.height);
+        let table = RayTable::new(&camera.lens, width, height);
+        let rays: Box<[[f32; 3]]> = table.rays().iter().map(|r| [r.x, r.y, r.z]).collect();
+        let mut extent = Extent { low: [f32::MAX; 2], high: [f32::MIN; 2] };
+        for ray in rays.iter().filter(|r| r[2] > 0.05) {
+            for k in 0..2 {
+                extent.low[k] = extent.low[k].min(ray[k] / ray[2]);
+                extent.high[k] = extent.high[k].max(ray[k] / ray[2]);
+            }
+        }
+        let gain = (0..width * height)
+            .map(|i| {
+                let x = (i % width) as f32 / width as f32 - 0.5;
+                let y = (i / width) as f32 / height as f32 - 0.5;
+                1.0 - sensor.vignette * 2.0 * (x * x + y * y)
+            })
+            .collect();
+        let tones = (0..TONES)
+            .map(|i| {
+                let linear = (i as f32 + 0.5) / TONES as f32;
+                // Gamma with a soft shoulder, as cameras develop their frames.
+                let shoulder = linear * (1.6 - 0.6 * linear);
+                (255.0 * shoulder.min(1.0).powf(0.48) + 0.5) as u8
+            })
+            .collect();
+        let pixels = width * height;
+        Self {
+            camera: *camera,
+            sensor: *sensor,
+            frame: Frame { lens: camera.lens, width, height, extent },
+            rays,
+            world_rays: vec![[0.0; 3]; pixels].into_boxed_slice(),
+            gain,
+            buffer: DepthBuffer::new(pixels),
+            hidden: vec![[0; 2]; pixels].into_boxed_slice(),
+            labels: vec![0; pixels].into_boxed_slice(),
+            depth_m: vec![0.0; pixels].into_boxed_slice(),
+            window: Window::new(),
+            movers: Scene::default(),
+            order: Vec::new(),
+            decals: Vec::new(),
+            raw: RgbImage::new(width, height),
+            developed: RgbImage::new(width, height),
+            tones,
+            pose: Pose::identity(),
+            world_seed: None,
+        }
+    }
+
+    /// The camera this one simulates.
+    #[must_use]
+    pub const fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// Labels of the last frame, `[height, width] u8`, see [`Label`].
+    #[must_use]
+    pub fn labels(&self) -> &[u8] {
+        &self.labels
+    }
+
+    /// Depth of the last frame in metres along the optical axis, `[height, width] f32`, infinite for the sky.
+    #[must_use]
+    pub fn depth_m(&self) -> &[f32] {
+        &self.depth_m
+    }
+
+    /// Pose of the last frame.
+    #[must_use]
+    pub const fn world_from_camera(&self) -> &Pose {
+        &self.pose
+    }
+
+    /// Draws the world at a time into `out`, which has the camera's size.
+    pub fn render(&mut self, world: &World, seconds: f64, out: &mut RgbImage) {
+        self.place(world, seconds);
+        self.draw_parts(world, seconds);
+        self.shade(world, seconds);
+        self.develop(seconds, out);
+    }
+
+    /// Draws the world at a time as luma.
+    pub fn render_gray(&mut self, world: &World, seconds: f64, out: &mut GrayImage) {
+        let mut developed = std::mem::replace(&mut self.developed, RgbImage::new(0, 0));
+        self.render(world, seconds, &mut developed);
+        for (luma, p) in out.pixels_mut().iter_mut().zip(developed.pixels().chunks_exact(3)) {
+            *luma = ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8;
+        }
+        self.developed = developed;
+    }
+
+    /// Moves the camera and turns its rays.
+    fn place(&mut self, world: &World, seconds: f64) {
+        if self.world_seed != Some(world.config.seed) {
+            self.window = Window::new();
+            self.world_seed = Some(world.config.seed);
+        }
+        self.pose = world.world_from_camera(seconds, &self.camera.mount);
+        let view = View::new(&self.pose);
+        for (to, from) in self.world_rays.iter_mut().zip(&self.rays) {
+            *to = view.to_world(*from);
+        }
+        let ahead = view.axes[2];
+        let flat = WINDOW_AHEAD_M / ahead[0].hypot(ahead[1]).max(0.2);
+        self.window.centre(world, view.origin[0] + flat * ahead[0], view.origin[1] + flat * ahead[1]);
+    }
+
+    /// Fills the depth buffer and the dark patches under vehicles and people.
+    fn draw_parts(&mut self, world: &World, seconds: f64) {
+        let view = View::new(&self.pose);
+        let ego_s = world.ego(seconds).road_m;
+        world.traffic.fill(&mut self.movers, &world.road, &world.style, ego_s, seconds);
+        self.buffer.clear();
+        self.hidden.fill([0; 2]);
+        self.order.clear();
+        self.decals.clear();
+        let s = ego_s as f32;
+        let fixed = world.scene.parts.len();
+        let reach = s - NEAR_M..=s + NEAR_M;
+        let still = world.scene.between(*reach.start(), *reach.end()).iter().map(|o| (o, &world.scene.parts, 0, false));
+        let moving = self.movers.objects.iter().map(|o| (o, &self.movers.parts, fixed, true));
+        for (object, parts, offset, moves) in still.chain(moving) {
+            let (dx, dy) = (object.centre[0] - view.origin[0], object.centre[1] - view.origin[1]);
+            let ahead = dx * view.axes[2][0] + dy * view.axes[2][1];
+            if ahead < -object.radius - 1.0 || dx.hypot(dy) - object.radius > NEAR_M {
+                continue;
+            }
+            for i in object.first..object.first + object.count {
+                self.order.push((nearest_m(&parts[i], view.origin), (offset + i) as u32));
+            }
+            decals(&parts[object.first..object.first + object.count], moves, world.style.sun, &mut self.decals);
+        }
+        self.order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for &(_, index) in &self.order {
+            let part = part_at(world, &self.movers, index);
+            self.buffer.draw(part, index + 1, &self.frame, &view, &self.world_rays, &world.textures);
+        }
+        for decal in &self.decals {
+            let reach = decal.half.map(|h| h + decal.soft);
+            let Some(bounds) = self.frame.bounds(&view, decal.base, decal.turn, reach, 0.01) else { continue };
+            for y in bounds.y[0]..bounds.y[1] {
+                for i in y * self.camera.width + bounds.x[0]..y * self.camera.width + bounds.x[1] {
+                    decal.darken(&view, self.world_rays[i], &mut self.hidden[i]);
+                }
+            }
+        }
+    }
+
+    /// Gives every pixel its colour, label and depth.
+    fn shade(&mut self, world: &World, seconds: f64) {
+        let view = View::new(&self.pose);
+        let style = &world.style;
+        let pixel_rad = 1.0 / self.camera.lens.focal_px() as f32;
+        let blur_m = world.ego(seconds).speed_mps as f32 * self.sensor.shutter_s;
+        let drift = 1.0 + self.sensor.exposure_drift * wave(self.sensor.seed ^ 77, seconds as f32 * 0.25);
+        let step = match self.sensor.exposure_step {
+            Some((from, factor)) if seconds >= from => factor,
+            _ => 1.0,
+        };
+        let exposure = style.exposure * self.sensor.exposure * drift * step;
+        let to_tone = exposure * TONES as f32;
+        for i in 0..self.rays.len() {
+            let ray = self.world_rays[i];
+            let limit = self.buffer.distance[i];
+            let ground = Meeting::new(world, &self.window, &view, ray, limit);
+            let (rgb, label, distance) = if let Some(meeting) = ground {
+                let (rgb, label) = meeting.shade(world, ray, pixel_rad, blur_m, self.hidden[i]);
+                (rgb, label, meeting.distance)
+            } else if self.buffer.part[i] > 0 {
+                let part = part_at(world, &self.movers, self.buffer.part[i] - 1);
+                let rgb = match part.meet(view.origin, ray, f32::MAX, &world.textures) {
+                    Some(hit) => lit(part, &hit, style, &world.textures, pixel_rad),
+                    None => part.rgb,
+                };
+                (rgb, part.label, limit)
+            } else {
+                let (rgb, far) = world.sky.seen(ray, style, &world.textures);
+                self.emit(i, rgb, to_tone);
+                self.labels[i] = if far { Label::Far } else { Label::Sky } as u8;
+                self.depth_m[i] = f32::INFINITY;
+                continue;
+            };
+            let haze = distance / (distance + 1.4 * style.haze_m);
+            let hazed = [0, 1, 2].map(|k| rgb[k] + haze * (0.8 * style.horizon_rgb[k] - rgb[k]));
+            self.emit(i, hazed, to_tone);
+            self.labels[i] = label;
+            self.depth_m[i] = distance * self.rays[i][2];
+        }
+    }
+
+    #[inline]
+    fn emit(&mut self, i: usize, rgb: [f32; 3], to_tone: f32) {
+        let scale = to_tone * self.gain[i];
+        let pixel = &mut self.raw.pixels_mut()[3 * i..3 * i + 3];
+        for k in 0..3 {
+            pixel[k] = self.tones[((rgb[k] * scale) as usize).min(TONES - 1)];
+        }
+    }
+
+    /// Lens softness and noise.
+    fn develop(&self, seconds: f64, out: &mut RgbImage) {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let stamp = hash(self.sensor.seed, (seconds * 1e4).round() as i64 as u32);
+        let mut noise = u64::from(stamp) << 32 | 0x9e37_79b9;
+        // Shot noise grows with the root of the light; after the gamma it is about level.
+        let sigma = self.sensor.read_noise.hypot(0.7 * self.sensor.shot_noise);
+        let strength = (sigma * 256.0 / 147.8) as i32;
+        for y in 0..height {
+            let above = self.raw.row(y.saturating_sub(1));
+            let here = self.raw.row(y);
+            let below = self.raw.row((y + 1).min(height - 1));
+            let target = out.row_mut(y);
+            for i in 0..3 * width {
+                let tone = if self.sensor.soft && i >= 3 && i + 3 < 3 * width {
+                    let column = |k: usize| i32::from(above[k]) + 4 * i32::from(here[k]) + i32::from(below[k]);
+                    (column(i - 3) + 4 * column(i) + column(i + 3)) * 64
+                } else {
+                    i32::from(here[i]) * 2304
+                };
+                noise ^= noise << 13;
+                noise ^= noise >> 7;
+                noise ^= noise << 17;
+                // Four bytes summed: nearly normal, standard deviation 147.8.
+                let sum = (noise & 255) + (noise >> 8 & 255) + (noise >> 16 & 255) + (noise >> 24 & 255);
+                let error = (sum as i32 - 510) * strength * 9 / 256;
+                target[i] = ((tone + error + 1152) / 2304).clamp(0, 255) as u8;
+            }
+        }
+    }
+}
+
+fn part_at<'a>(world: &'a World, movers: &'a Scene, index: u32) -> &'a Part {
+    let index = index as usize;
+    let fixed = world.scene.parts.len();
+    if index < fixed { &world.scene.parts[index] } else { &movers.parts[index - fixed] }
+}
+
+/// The dark patches of one object.
+fn decals(parts: &[Part], moves: bool, sun: [f32; 3], out: &mut Vec<Decal>) {
+    let Some(first) = parts.first() else { return };
+    let living = first.label == Label::Living as u8;
+    if !living && first.label != Label::Vehicle as u8 {
+        return;
+    }
+    let turn = [first.sin, first.cos];
+    let ground = [first.base[0], first.base[1], 0.0];
+    out.push(Decal { base: ground, turn, half: first.half, soft: if living { 0.15 } else { 0.3 }, hides: [0.75, 0.9] });
+    if moves {
+        let away = 0.55 / sun[2];
+        let base = [ground[0] - sun[0] * away, ground[1] - sun[1] * away, 0.0];
+        out.push(Decal { base, turn, half: first.half, soft: 0.2, hides: [0.0, 1.0] });
+    }
+}
+
+impl Decal {
+    #[inline]
+    fn darken(&self, view: &View, ray: [f32; 3], hidden: &mut [u8; 2]) {
+        if ray[2] > -1e-4 {
+            return;
+        }
+        let distance = -view.origin[2] / ray[2];
+        let dx = view.origin[0] + distance * ray[0] - self.base[0];
+        let dy = view.origin[1] + distance * ray[1] - self.base[1];
+        let [sin, cos] = self.turn;
+        let along = (dx * cos + dy * sin).abs();
+        let aside = (dy * cos - dx * sin).abs();
+        let inside = |at: f32, half: f32| ((half + self.soft - at) / (2.0 * self.soft)).clamp(0.0, 1.0);
+        let share = inside(along, self.half[0]) * inside(aside, self.half[1]);
+        for (h, hides) in hidden.iter_mut().zip(self.hides) {
+            *h = (*h).max((255.0 * share * hides) as u8);
+        }
+    }
+}
+
+/// Where a ray meets the ground.
+#[derive(Clone, Copy, Debug)]
+struct Meeting {
+    distance: f32,
+    /// Road coordinates; none beyond the window.
+    place: Option<([f32; 2], [f32; 2])>,
+    /// Signed distance outside the kerb.
+    edge: f32,
+    /// Whether the kerb's face is met.
+    face: bool,
+}
+
+impl Meeting {
+    #[inline]
+    fn new(world: &World, window: &Window, view: &View, ray: [f32; 3], limit: f32) -> Option<Self> {
+        if ray[2] > -1e-4 {
+            return None;
+        }
+        let kerb = world.style.kerb_m;
+        let raised = (view.origin[2] - kerb) / -ray[2];
+        if raised >= limit {
+            return None;
+        }
+        let at = |distance: f32| window.at(view.origin[0] + distance * ray[0], view.origin[1] + distance * ray[1]);
+        let Some(upper) = at(raised) else {
+            return Some(Self { distance: raised, place: None, edge: 10.0, face: false });
+        };
+        let upper_edge = world.road.edge(upper.0[0], upper.0[1]);
+        if upper_edge > 0.0 {
+            return Some(Self { distance: raised, place: Some(upper), edge: upper_edge, face: false });
+        }
+        let flat = view.origin[2] / -ray[2];
+        let Some(lower) = at(flat) else {
+            return Some(Self { distance: raised, place: None, edge: 10.0, face: false });
+        };
+        let lower_edge = world.road.edge(lower.0[0], lower.0[1]);
+        if lower_edge <= 0.0 {
+            return (flat < limit).then_some(Self { distance: flat, place: Some(lower), edge: lower_edge, face: false });
+        }
+        // Between the planes the ray crosses the kerb's face, about where its edge distance passes zero.
+        let f = upper_edge / (upper_edge - lower_edge);
+        let distance = raised + f * (flat - raised);
+        (distance < limit).then_some(Self { distance, place: Some(lower), edge: 0.0, face: true })
+    }
+
+    #[inline]
+    fn shade(&self, world: &World, ray: [f32; 3], pixel_rad: f32, blur_m: f32, hidden: [u8; 2]) -> ([f32; 3], u8) {
+        let style = &world.style;
+        let label = if self.edge < 0.0 || (self.edge == 0.0 && !self.face) { Label::Road } else { Label::NonDrivable };
+        let Some(([s, d], [sx, sy])) = self.place else {
+            let light = style.sky_light_rgb[1] + 0.6 * style.sun_rgb[1];
+            return (style.beyond_rgb.map(|c| c * light), label as u8);
+        };
+        let across = self.distance * pixel_rad;
+        let along = across / (-ray[2]).max(0.01);
+        let flat = 1.0 / (ray[0] * ray[0] + ray[1] * ray[1]).sqrt().max(1e-6);
+        let ahead = ((ray[0] * sx + ray[1] * sy) * flat).abs().min(1.0);
+        let aside = ((ray[0] * sy - ray[1] * sx) * flat).abs().min(1.0);
+        let foot = Footprint { along_m: ahead * along + aside * across + blur_m, across_m: aside * along + ahead * across };
+        let rgb = if self.face {
+            style.kerb_rgb.map(|c| 0.6 * c)
+        } else if label == Label::Road {
+            world.ground.road(style, &world.textures, s, d, self.edge, foot)
+        } else {
+            world.ground.verge(style, &world.textures, s, d, self.edge, foot)
+        };
+        let open = 1.0 - f32::from(hidden[0]) * (1.0 / 255.0);
+        let mut sun = 0.0;
+        if style.sun_rgb[1] > 0.0 {
+            sun = world.shadow.sunlight(&world.textures, s, d, foot) * (1.0 - f32::from(hidden[1]) * (1.0 / 255.0));
+            sun *= style.sun[2];
+        }
+        ([0, 1, 2].map(|k| rgb[k] * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k])), label as u8)
+    }
+}
