@@ -1,1 +1,3 @@
 //! Devices, threads and the program around the `freespace` core.
+
+pub mod runtime;

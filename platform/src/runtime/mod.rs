@@ -1,0 +1,3 @@
+//! What the running program stands on: threads, memory, allocations.
+
+pub mod allocation;
