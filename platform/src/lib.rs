@@ -1,3 +1,4 @@
 //! Devices, threads and the program around the `freespace` core.
 
 pub mod runtime;
+pub mod segmenter;
