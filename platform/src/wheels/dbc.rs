@@ -1,0 +1,716 @@
+//! Decodes wheel messages as a DBC file describes them.
+//!
+//! In: a DBC text and a [`WheelMapping`] at start-up, then CAN frames. Out: a [`WheelReading`] a wheel message: raw counters
+//! (never scaled: they wrap at a power of two), or speeds in metres a second. Invariant: a signal lies within the message's
+//! stated length, and a shorter frame is a fault. Cost: at most 16 signals of at most 64 bits a frame, no allocation.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use can_dbc::{ByteOrder, Dbc, Message, MessageId, MultiplexIndicator, NumericValue, Signal, ValueType};
+use freespace::space::Micros;
+use freespace::track::WheelReading;
+use serde::Deserialize;
+
+/// How many like names an error lists.
+const NAMES_LISTED: usize = 12;
+
+/// What the four signals carry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WheelKind {
+    /// Counters of encoder edges that wrap around.
+    Counts,
+    /// Speeds.
+    Speeds,
+}
+
+/// Unit of a speed signal, where the DBC states none or a wrong one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+pub enum SpeedUnit {
+    /// Kilometres an hour.
+    #[serde(rename = "km/h")]
+    KilometresAnHour,
+    /// Miles an hour.
+    #[serde(rename = "mph")]
+    MilesAnHour,
+    /// Metres a second.
+    #[serde(rename = "m/s")]
+    MetresASecond,
+}
+
+impl SpeedUnit {
+    /// Metres a second in one of this unit; exact by definition of the mile (1609.344 m).
+    #[must_use]
+    pub const fn mps(self) -> f64 {
+        match self {
+            Self::KilometresAnHour => 1.0 / 3.6,
+            Self::MilesAnHour => 0.44704,
+            Self::MetresASecond => 1.0,
+        }
+    }
+
+    /// As DBC files spell them.
+    fn of_dbc(unit: &str) -> Option<Self> {
+        match unit.trim().to_ascii_lowercase().as_str() {
+            "km/h" | "kph" | "kmh" | "kmph" => Some(Self::KilometresAnHour),
+            "mph" | "mi/h" => Some(Self::MilesAnHour),
+            "m/s" | "mps" => Some(Self::MetresASecond),
+            _ => None,
+        }
+    }
+}
+
+/// Which message and signals tell of the wheels; names in the order front left, front right, rear left, rear right.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WheelMapping {
+    /// The message's name in the DBC.
+    pub message: String,
+    /// Counter or speed signals.
+    pub signals: [String; 4],
+    /// Direction signals, where the message has them.
+    #[serde(default)]
+    pub directions: Option<[String; 4]>,
+    /// Fault flags, where the message has them: a reading with one set is refused.
+    #[serde(default)]
+    pub faults: Option<[String; 4]>,
+    /// Counters or speeds.
+    pub kind: WheelKind,
+    /// Unit of the speeds instead of the DBC's.
+    #[serde(default)]
+    pub unit: Option<SpeedUnit>,
+    /// Raw value of a direction signal that means ahead.
+    #[serde(default = "ahead")]
+    pub direction_ahead: u64,
+    /// Raw value of a direction signal that means back.
+    #[serde(default = "back")]
+    pub direction_back: u64,
+}
+
+const fn ahead() -> u64 {
+    1
+}
+
+const fn back() -> u64 {
+    2
+}
+
+/// Why a mapping does not fit its DBC file.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+pub enum MappingError {
+    /// The DBC file cannot be read.
+    #[error("{file}: the DBC file cannot be read: {error}", file = .file.display())]
+    #[diagnostic(help("give the path of the vehicle's DBC file"))]
+    Read {
+        /// The DBC file.
+        file: PathBuf,
+        /// The system's words.
+        error: std::io::Error,
+    },
+    /// The text is no DBC.
+    #[error("{file}: not a DBC file: {detail}", file = .file.display())]
+    #[diagnostic(help("correct the line named there; the file must hold BO_ and SG_ entries"))]
+    Syntax {
+        /// The DBC file.
+        file: PathBuf,
+        /// The parser's words.
+        detail: String,
+    },
+    /// No such message.
+    #[error("{file}: no message {message}; messages like it: {like}", file = .file.display())]
+    #[diagnostic(help("set the wheels' message to one of the file's"))]
+    UnknownMessage {
+        /// The DBC file.
+        file: PathBuf,
+        /// The name asked for.
+        message: String,
+        /// Names in the file.
+        like: String,
+    },
+    /// No such signal.
+    #[error("{file}: message {message} has no signal {signal}; its signals: {known}", file = .file.display())]
+    #[diagnostic(help("set the wheels' signals to those of {message}"))]
+    UnknownSignal {
+        /// The DBC file.
+        file: PathBuf,
+        /// The message.
+        message: String,
+        /// The name asked for.
+        signal: String,
+        /// Names in the message, the likest first.
+        known: String,
+    },
+    /// The signal is there but cannot be used so.
+    #[error("{file}: signal {message}.{signal}: {problem}", file = .file.display())]
+    #[diagnostic(help("{fix}"))]
+    Unusable {
+        /// The DBC file.
+        file: PathBuf,
+        /// The message.
+        message: String,
+        /// The signal.
+        signal: String,
+        /// What is wrong.
+        problem: String,
+        /// What to do.
+        fix: &'static str,
+    },
+}
+
+/// Why a wheel message gave no reading; the caller counts it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum DecodeFault {
+    /// Fewer bytes than the signals need.
+    #[error("shorter than its signals need")]
+    Short,
+    /// The car's own fault flag of a wheel is set.
+    #[error("a wheel's fault flag is set")]
+    Flagged,
+    /// A speed beyond the DBC's range: the code for "not available" lies there.
+    #[error("a speed beyond the range of the DBC")]
+    OutOfRange,
+}
+
+/// Where a signal lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Field {
+    start: usize,
+    size: usize,
+    big_endian: bool,
+    signed: bool,
+    factor: f64,
+    offset: f64,
+    /// Largest magnitude, in the signal's unit.
+    limit: f64,
+}
+
+/// Decodes one message into wheel readings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WheelDecoder {
+    id: u32,
+    is_extended: bool,
+    /// Bytes that hold every signal read.
+    bytes_needed: usize,
+    kind: WheelKind,
+    values: [Field; 4],
+    directions: Option<[Field; 4]>,
+    faults: Option<[Field; 4]>,
+    mps_per_unit: f64,
+    direction_ahead: u64,
+    direction_back: u64,
+}
+
+impl WheelDecoder {
+    /// Reads a DBC file and makes a decoder of it.
+    ///
+    /// # Errors
+    /// An unreadable or malformed file, an unknown message or signal, or a signal that cannot be used.
+    pub fn open(dbc: &Path, mapping: &WheelMapping) -> Result<Self, MappingError> {
+        let text = fs::read(dbc).map_err(|error| MappingError::Read {
+            file: dbc.to_owned(),
+            error,
+        })?;
+        // DBC files are often Latin-1: names are ASCII, so what is lost lies in comments.
+        Self::new(dbc, &String::from_utf8_lossy(&text), mapping)
+    }
+
+    /// Makes a decoder of a DBC text; `file` is what errors name.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn new(file: &Path, text: &str, mapping: &WheelMapping) -> Result<Self, MappingError> {
+        let dbc = Dbc::try_from(text).map_err(|error| MappingError::Syntax {
+            file: file.to_owned(),
+            detail: error.to_string(),
+        })?;
+        let message = (dbc
+            .messages
+            .iter()
+            .find(|message| message.name == mapping.message))
+        .ok_or_else(|| unknown_message(file, &dbc, &mapping.message))?;
+        let source = Source {
+            file,
+            dbc: &dbc,
+            message,
+        };
+
+        let values = source.fields(&mapping.signals)?;
+        let directions = (mapping.directions.as_ref())
+            .map(|names| source.fields(names))
+            .transpose()?;
+        let faults = (mapping.faults.as_ref())
+            .map(|names| source.fields(names))
+            .transpose()?;
+        let mps_per_unit = match mapping.kind {
+            WheelKind::Counts => {
+                source.check_counters(&mapping.signals, &values)?;
+                0.0
+            }
+            WheelKind::Speeds => source.unit(&mapping.signals, mapping.unit)?.mps(),
+        };
+        let all = (values.iter())
+            .chain(directions.iter().flatten())
+            .chain(faults.iter().flatten());
+        Ok(Self {
+            id: message.id.raw() & 0x1fff_ffff,
+            is_extended: matches!(message.id, MessageId::Extended(_)),
+            bytes_needed: all.map(Field::bytes_needed).max().unwrap_or(0),
+            kind: mapping.kind,
+            values,
+            directions,
+            faults,
+            mps_per_unit,
+            direction_ahead: mapping.direction_ahead,
+            direction_back: mapping.direction_back,
+        })
+    }
+
+    /// Identifier of the wheel message, and whether it is an extended one.
+    #[must_use]
+    pub const fn id(&self) -> (u32, bool) {
+        (self.id, self.is_extended)
+    }
+
+    /// Value at which the counters wrap; nothing for speeds.
+    #[must_use]
+    pub fn counter_modulus(&self) -> Option<u64> {
+        (self.kind == WheelKind::Counts).then(|| 1 << self.values[0].size)
+    }
+
+    /// The reading of a frame; nothing where the frame is another message.
+    ///
+    /// # Errors
+    /// A frame that is too short, flagged as faulty by the car, or out of range.
+    pub fn decode(
+        &self,
+        id: u32,
+        is_extended: bool,
+        data: &[u8],
+        stamp: Micros,
+    ) -> Option<Result<WheelReading, DecodeFault>> {
+        (id == self.id && is_extended == self.is_extended).then(|| self.reading(data, stamp))
+    }
+
+    fn reading(&self, data: &[u8], stamp: Micros) -> Result<WheelReading, DecodeFault> {
+        if data.len() < self.bytes_needed {
+            return Err(DecodeFault::Short);
+        }
+        if self.faults.iter().flatten().any(|flag| flag.raw(data) != 0) {
+            return Err(DecodeFault::Flagged);
+        }
+        let direction = (self.directions).map_or([0; 4], |fields| {
+            fields.map(|field| self.direction(field.raw(data)))
+        });
+        if self.kind == WheelKind::Counts {
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "counters have at most 32 bits, checked in new"
+            )]
+            let counts = self.values.map(|field| field.raw(data) as u32);
+            return Ok(WheelReading::Counts {
+                stamp,
+                counts,
+                direction,
+            });
+        }
+        let mut mps = [0.0; 4];
+        for (wheel, field) in self.values.iter().enumerate() {
+            let speed = field.physical(data);
+            if speed.abs() > field.limit || !speed.is_finite() {
+                return Err(DecodeFault::OutOfRange);
+            }
+            // A speed without sign takes that of the direction signal.
+            let is_back = direction[wheel] < 0 && speed > 0.0;
+            mps[wheel] = if is_back { -speed } else { speed } * self.mps_per_unit;
+        }
+        Ok(WheelReading::Speeds { stamp, mps })
+    }
+
+    const fn direction(&self, raw: u64) -> i8 {
+        if raw == self.direction_ahead {
+            1
+        } else if raw == self.direction_back {
+            -1
+        } else {
+            0
+        }
+    }
+}
+
+impl Field {
+    /// Bytes from the frame's start to the signal's last one.
+    fn bytes_needed(&self) -> usize {
+        let last = if self.big_endian {
+            // The start is the most significant bit; from bit 0 of a byte the signal goes on at bit 7 of the next.
+            (self.start / 8) * 8 + (7 - self.start % 8) + self.size - 1
+        } else {
+            self.start + self.size - 1
+        };
+        last / 8 + 1
+    }
+
+    /// The signal's bits; the caller has checked the length.
+    fn raw(&self, data: &[u8]) -> u64 {
+        let bit = |at: usize| u64::from(data[at / 8] >> (at % 8) & 1);
+        let mut value = 0;
+        if self.big_endian {
+            let first = (self.start / 8) * 8 + (7 - self.start % 8);
+            for at in first..first + self.size {
+                value = value << 1 | bit(at / 8 * 8 + (7 - at % 8));
+            }
+        } else {
+            for at in (self.start..self.start + self.size).rev() {
+                value = value << 1 | bit(at);
+            }
+        }
+        value
+    }
+
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "speed signals have far fewer than 52 bits"
+    )]
+    fn physical(&self, data: &[u8]) -> f64 {
+        let raw = self.raw(data);
+        let value = if self.signed {
+            let unused = 64 - self.size;
+            ((raw << unused).cast_signed() >> unused) as f64
+        } else {
+            raw as f64
+        };
+        value * self.factor + self.offset
+    }
+}
+
+/// The message that the mapping names.
+struct Source<'a> {
+    file: &'a Path,
+    dbc: &'a Dbc,
+    message: &'a Message,
+}
+
+impl Source<'_> {
+    fn fields(&self, names: &[String; 4]) -> Result<[Field; 4], MappingError> {
+        let [a, b, c, d] = names;
+        Ok([self.field(a)?, self.field(b)?, self.field(c)?, self.field(d)?])
+    }
+
+    fn signal(&self, name: &str) -> Result<&Signal, MappingError> {
+        (self.message.signals.iter().find(|signal| signal.name == name)).ok_or_else(|| {
+            MappingError::UnknownSignal {
+                file: self.file.to_owned(),
+                message: self.message.name.clone(),
+                signal: name.to_owned(),
+                known: likest(
+                    name,
+                    self.message.signals.iter().map(|signal| signal.name.as_str()),
+                ),
+            }
+        })
+    }
+
+    fn field(&self, name: &str) -> Result<Field, MappingError> {
+        let signal = self.signal(name)?;
+        if !matches!(signal.multiplexer_indicator, MultiplexIndicator::Plain) {
+            let fix = "name a signal that every frame of the message carries";
+            return Err(self.unusable(name, "it is multiplexed".to_owned(), fix));
+        }
+        let is_float = (self.dbc.signal_extended_value_type_list.iter()).any(|entry| {
+            entry.message_id == self.message.id
+                && entry.signal_name == name
+                && entry.signal_extended_value_type
+                    != can_dbc::SignalExtendedValueType::SignedOrUnsignedInteger
+        });
+        if is_float {
+            return Err(self.unusable(
+                name,
+                "it is a floating-point signal".to_owned(),
+                "name an integer signal",
+            ));
+        }
+        let size = usize::try_from(signal.size).unwrap_or(usize::MAX);
+        let start = usize::try_from(signal.start_bit).unwrap_or(usize::MAX);
+        let fix = "correct the signal's start and length in the DBC";
+        if !(1..=64).contains(&size) || start >= 512 {
+            return Err(self.unusable(
+                name,
+                format!("{} bits at {} are no signal", signal.size, signal.start_bit),
+                fix,
+            ));
+        }
+        let limit = number(&signal.min).abs().max(number(&signal.max).abs());
+        let field = Field {
+            start,
+            size,
+            big_endian: signal.byte_order == ByteOrder::BigEndian,
+            signed: signal.value_type == ValueType::Signed,
+            factor: signal.factor,
+            offset: signal.offset,
+            // A range of [0|0] states none.
+            limit: if limit > 0.0 { limit } else { f64::INFINITY },
+        };
+        if field.bytes_needed() as u64 > self.message.size {
+            let problem = format!(
+                "it ends in byte {}, the message has {}",
+                field.bytes_needed(),
+                self.message.size
+            );
+            return Err(self.unusable(name, problem, fix));
+        }
+        Ok(field)
+    }
+
+    fn check_counters(&self, names: &[String; 4], fields: &[Field; 4]) -> Result<(), MappingError> {
+        for (name, field) in names.iter().zip(fields) {
+            if field.signed || field.size > 32 || field.size != fields[0].size {
+                let problem = format!(
+                    "{} bits, signed: {}; a counter is unsigned, of at most 32 bits, alike on all wheels",
+                    field.size, field.signed
+                );
+                return Err(self.unusable(name, problem, "name counter signals, or set kind = \"speeds\""));
+            }
+        }
+        Ok(())
+    }
+
+    fn unit(&self, names: &[String; 4], stated: Option<SpeedUnit>) -> Result<SpeedUnit, MappingError> {
+        if let Some(unit) = stated {
+            return Ok(unit);
+        }
+        let unit = &self.signal(&names[0])?.unit;
+        let mut others = names.iter().map(|name| self.signal(name));
+        if others.any(|other| other.is_ok_and(|other| other.unit != *unit)) {
+            let problem = "the four speeds have different units".to_owned();
+            return Err(self.unusable(
+                &names[0],
+                problem,
+                "set the wheels' unit to \"km/h\", \"mph\" or \"m/s\"",
+            ));
+        }
+        SpeedUnit::of_dbc(unit).ok_or_else(|| {
+            let problem = format!("its unit \"{unit}\" is no known speed");
+            self.unusable(
+                &names[0],
+                problem,
+                "set the wheels' unit to \"km/h\", \"mph\" or \"m/s\"",
+            )
+        })
+    }
+
+    fn unusable(&self, signal: &str, problem: String, fix: &'static str) -> MappingError {
+        MappingError::Unusable {
+            file: self.file.to_owned(),
+            message: self.message.name.clone(),
+            signal: signal.to_owned(),
+            problem,
+            fix,
+        }
+    }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a range is stated in a few digits")]
+fn number(value: &NumericValue) -> f64 {
+    match *value {
+        NumericValue::Uint(value) => value as f64,
+        NumericValue::Int(value) => value as f64,
+        NumericValue::Double(value) => value,
+    }
+}
+
+fn unknown_message(file: &Path, dbc: &Dbc, name: &str) -> MappingError {
+    MappingError::UnknownMessage {
+        file: file.to_owned(),
+        message: name.to_owned(),
+        like: likest(name, dbc.messages.iter().map(|message| message.name.as_str())),
+    }
+}
+
+/// The names nearest to `name` by edit distance, upper and lower case alike.
+fn likest<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> String {
+    let mut names: Vec<(usize, &str)> = names.map(|other| (distance(name, other), other)).collect();
+    names.sort_unstable();
+    let listed: Vec<&str> = names.iter().take(NAMES_LISTED).map(|(_, other)| *other).collect();
+    if listed.is_empty() {
+        "none".to_owned()
+    } else {
+        listed.join(", ")
+    }
+}
+
+/// Levenshtein's distance.
+fn distance(one: &str, other: &str) -> usize {
+    let (one, other) = (one.to_ascii_lowercase(), other.to_ascii_lowercase());
+    let mut row: Vec<usize> = (0..=other.len()).collect();
+    for (at, byte) in one.bytes().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = at + 1;
+        for (to, other_byte) in other.bytes().enumerate() {
+            let replaced = diagonal + usize::from(byte != other_byte);
+            diagonal = row[to + 1];
+            row[to + 1] = replaced.min(diagonal + 1).min(row[to] + 1);
+        }
+    }
+    row[other.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+    use super::*;
+    use miette::Diagnostic;
+
+    const DBC: &str = concat!(
+        "VERSION \"\"\n\nNS_ :\n\nBS_:\n\nBU_: ABS\n\n",
+        "BO_ 903 PULSES: 6 ABS\n",
+        " SG_ FL : 0|8@1+ (0.5,0) [0|127.5] \"count\" ABS\n",
+        " SG_ FR : 8|8@1+ (0.5,0) [0|127.5] \"count\" ABS\n",
+        " SG_ RL : 16|8@1+ (0.5,0) [0|127.5] \"count\" ABS\n",
+        " SG_ RR : 24|8@1+ (0.5,0) [0|127.5] \"count\" ABS\n",
+        " SG_ DIR_FL : 32|2@1+ (1,0) [0|3] \"\" ABS\n",
+        " SG_ DIR_FR : 34|2@1+ (1,0) [0|3] \"\" ABS\n",
+        " SG_ DIR_RL : 36|2@1+ (1,0) [0|3] \"\" ABS\n",
+        " SG_ DIR_RR : 38|2@1+ (1,0) [0|3] \"\" ABS\n\n",
+        "BO_ 170 SPEEDS: 8 ABS\n",
+        " SG_ V_FR_FAULT : 7|1@0+ (1,0) [0|0] \"\" ABS\n",
+        " SG_ V_FR : 6|15@0+ (0.01,-67.67) [0|200] \"km/h\" ABS\n",
+        " SG_ V_FL : 22|15@0+ (0.01,-67.67) [0|200] \"km/h\" ABS\n",
+        " SG_ V_RR : 38|15@0+ (0.01,-67.67) [0|200] \"km/h\" ABS\n",
+        " SG_ V_RL : 54|15@0+ (0.01,-67.67) [0|200] \"km/h\" ABS\n\n",
+        "BO_ 2566848533 SIGNED: 8 ABS\n",
+        " SG_ S_FL : 4|12@1- (0.1,0) [0|0] \"m/s\" ABS\n",
+        " SG_ S_FR : 16|12@1- (0.1,0) [0|0] \"m/s\" ABS\n",
+        " SG_ S_RL : 28|12@1- (0.1,0) [0|0] \"furlong\" ABS\n",
+        " SG_ S_RR : 40|12@1- (0.1,0) [0|0] \"m/s\" ABS\n",
+    );
+
+    fn decoder(mapping: &str) -> Result<WheelDecoder, MappingError> {
+        let mapping: WheelMapping = toml::from_str(mapping).unwrap();
+        WheelDecoder::new(Path::new("car.dbc"), DBC, &mapping)
+    }
+
+    const PULSES: &str = r#"message = "PULSES"
+kind = "counts"
+signals = ["FL", "FR", "RL", "RR"]
+directions = ["DIR_FL", "DIR_FR", "DIR_RL", "DIR_RR"]"#;
+    const SPEEDS: &str = r#"message = "SPEEDS"
+kind = "speeds"
+signals = ["V_FL", "V_FR", "V_RL", "V_RR"]
+faults = ["V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT"]"#;
+
+    #[test]
+    fn counters_stay_raw_and_directions_are_signs() {
+        let decoder = decoder(PULSES).unwrap();
+        let data = [0xfe, 0x01, 0x80, 0x7f, 0b0011_1001, 0];
+        let stamp = Micros(5);
+        let reading = decoder.decode(903, false, &data, stamp).unwrap().unwrap();
+        let expected = WheelReading::Counts {
+            stamp,
+            counts: [254, 1, 128, 127],
+            direction: [1, -1, 0, 0],
+        };
+        assert_eq!(reading, expected);
+        assert_eq!(decoder.counter_modulus(), Some(256));
+        assert!(decoder.decode(903, true, &data, stamp).is_none());
+        assert!(decoder.decode(904, false, &data, stamp).is_none());
+        assert_eq!(
+            decoder.decode(903, false, &data[..4], stamp),
+            Some(Err(DecodeFault::Short))
+        );
+        assert_eq!(
+            decoder.decode(903, false, &[], stamp),
+            Some(Err(DecodeFault::Short))
+        );
+    }
+
+    #[test]
+    fn big_endian_speeds_are_metres_a_second_in_the_order_of_the_wheels() {
+        let decoder = decoder(SPEEDS).unwrap();
+        let data = [0x25, 0xb5, 0x25, 0xb6, 0x25, 0xa0, 0x25, 0x8d];
+        let Some(Ok(WheelReading::Speeds { mps, .. })) = decoder.decode(170, false, &data, Micros(0)) else {
+            panic!("no speeds");
+        };
+        for (found, raw) in mps.iter().zip([0x25b6, 0x25b5, 0x258d, 0x25a0]) {
+            let expected = (f64::from(raw) * 0.01 - 67.67) / 3.6;
+            assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        }
+        let mut flagged = data;
+        flagged[0] |= 0x80;
+        assert_eq!(
+            decoder.decode(170, false, &flagged, Micros(0)),
+            Some(Err(DecodeFault::Flagged))
+        );
+        let mut absent = data;
+        (absent[2], absent[3]) = (0x7f, 0xff);
+        assert_eq!(
+            decoder.decode(170, false, &absent, Micros(0)),
+            Some(Err(DecodeFault::OutOfRange))
+        );
+    }
+
+    #[test]
+    fn signed_little_endian_speeds_of_an_extended_message_roll_back() {
+        let mapping = "message = \"SIGNED\"\nkind = \"speeds\"\nunit = \"m/s\"\nsignals = [\"S_FL\", \"S_FR\", \"S_RL\", \"S_RR\"]";
+        let decoder = decoder(mapping).unwrap();
+        assert_eq!(decoder.id(), (0x18ff_0015, true));
+        // -1, 2047, -2048, 0 in twelve bits each, from bit 4.
+        let bits: u64 = 0xfff << 4 | 0x7ff << 16 | 0x800 << 28;
+        let reading = decoder
+            .decode(0x18ff_0015, true, &bits.to_le_bytes(), Micros(0))
+            .unwrap()
+            .unwrap();
+        let WheelReading::Speeds { mps, .. } = reading else {
+            panic!("no speeds")
+        };
+        for (found, expected) in mps.iter().zip([-0.1, 204.7, -204.8, 0.0]) {
+            assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_wrong_mapping_names_the_file_the_name_and_its_likes() {
+        let cases = [
+            (
+                PULSES.replace("\"PULSES\"", "\"PULSE\""),
+                "no message PULSE; messages like it: PULSES",
+                "message",
+            ),
+            (
+                SPEEDS.replace("V_RL", "V_LR"),
+                "no signal V_LR; its signals: V_FR",
+                "SPEEDS",
+            ),
+            (
+                SPEEDS
+                    .replace("speeds", "counts")
+                    .replace("SPEEDS", "SIGNED")
+                    .replace("V_", "S_")
+                    .replace("faults", "#"),
+                "unsigned",
+                "speeds",
+            ),
+            (PULSES.replace("counts", "speeds"), "unit \"count\"", "km/h"),
+            (
+                SPEEDS
+                    .replace("SPEEDS", "SIGNED")
+                    .replace("V_", "S_")
+                    .replace("faults", "#"),
+                "different units",
+                "km/h",
+            ),
+        ];
+        for (mapping, cause, fix) in cases {
+            let error = decoder(&mapping).unwrap_err();
+            let message = error.to_string();
+            assert!(
+                message.starts_with("car.dbc: ") && message.contains(cause),
+                "{message}"
+            );
+            assert!(error.help().unwrap().to_string().contains(fix), "{message}");
+        }
+        let mapping: WheelMapping = toml::from_str(PULSES).unwrap();
+        let error = WheelDecoder::new(Path::new("car.dbc"), "no DBC at all", &mapping).unwrap_err();
+        assert!(matches!(error, MappingError::Syntax { .. }), "{error}");
+        assert!(toml::from_str::<WheelMapping>(&format!("{PULSES}\nsignal = 1")).is_err());
+    }
+}
