@@ -7,14 +7,14 @@ version=1.31.1
 root=$(CDPATH= cd -- "$(dirname -- "$0")/.." && pwd)
 folder=$root/.runtime
 library=$folder/libonnxruntime.so
-stamp=$folder/libonnxruntime.version
+versioned=$library.$version
 
 fail() {
     echo "fetch-onnxruntime: $1" >&2
     exit 1
 }
 
-if [ -f "$library" ] && [ "$(cat "$stamp" 2>/dev/null)" = "$version" ]; then
+if [ -f "$versioned" ] && [ "$(readlink "$library")" = "libonnxruntime.so.$version" ]; then
     echo "ONNX Runtime $version is there already: $library"
     exit 0
 fi
@@ -54,6 +54,6 @@ PYTHON
 
 # Renamed last, so that an interrupted run leaves no half library.
 chmod 644 "$scratch/library"
-mv "$scratch/library" "$library"
-echo "$version" >"$stamp"
+mv "$scratch/library" "$versioned"
+ln -sf "libonnxruntime.so.$version" "$library"
 echo "ONNX Runtime $version: $library"

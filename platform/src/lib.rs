@@ -1,5 +1,6 @@
 //! Devices, threads and the program around the `freespace` core.
 
+pub mod clock;
 pub mod runtime;
 pub mod segmenter;
 pub mod wheels;

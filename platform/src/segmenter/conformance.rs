@@ -1,5 +1,10 @@
 //! What every engine promises, tried on a small network whose answer is known.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::cast_possible_truncation,
+    reason = "tests"
+)]
 
 use std::fs;
 use std::path::PathBuf;

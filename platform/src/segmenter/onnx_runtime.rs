@@ -201,17 +201,30 @@ fn load_library() -> Result<Library, String> {
     let builder = ort::init_from(&path).map_err(|error| error.to_string())?;
     let environment = (builder.with_name("freespace").with_telemetry(false).build())
         .map_err(|error| format!("{}: {error}", path.display()))?;
-    let version = version_of(ort::info()).unwrap_or("of unknown version");
     Ok(Library {
         environment,
-        name: format!("ONNX Runtime {version} ({})", path.display()),
+        name: format!(
+            "ONNX Runtime {} ({})",
+            version_of(&path, ort::info()),
+            path.display()
+        ),
     })
 }
 
-/// `git-branch=rel-1.31.1, ...` names the release.
-fn version_of(build_info: &str) -> Option<&str> {
-    let branch = build_info.split("git-branch=").nth(1)?.split(',').next()?;
-    Some(branch.trim_start_matches("rel-").trim())
+/// The version in the file's name, `libonnxruntime.so.1.31.1`, else the commit it was built from.
+fn version_of(path: &Path, build_info: &str) -> String {
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    if let Some((_, version)) = file
+        .split_once(".so.")
+        .filter(|(_, version)| version.contains('.'))
+    {
+        return version.to_owned();
+    }
+    let commit = (build_info.split("git-commit-id=").nth(1)).and_then(|rest| rest.split(',').next());
+    commit.map_or_else(
+        || "of unknown version".to_owned(),
+        |commit| format!("built from {}", commit.trim()),
+    )
 }
 
 /// The first library that exists, or the places that have none.
@@ -273,8 +286,13 @@ mod tests {
     }
 
     #[test]
-    fn the_version_is_read_from_the_build_info() {
-        let info = "ORT Build Info: git-branch=rel-1.31.1, git-commit-id=26250ae, build type=Release";
-        assert_eq!(version_of(info), Some("1.31.1"));
+    fn the_version_is_that_of_the_file_or_of_the_build() {
+        let info = "ORT Build Info: git-branch=HEAD, git-commit-id=26250ae, build type=Release";
+        let versioned = Path::new("/opt/.runtime/libonnxruntime.so.1.31.1");
+        assert_eq!(version_of(versioned, info), "1.31.1");
+        assert_eq!(
+            version_of(Path::new("/usr/lib/libonnxruntime.so"), info),
+            "built from 26250ae"
+        );
     }
 }
