@@ -43,3 +43,10 @@ pub const COLOUR_SLICES: usize = 32;
 
 /// A grid for every key frame is out this long after its capture (section 1 of the promise).
 pub const DEADLINE_MICROS: u64 = 500_000;
+
+/// Bundle-adjustment iterations a key frame, at most.
+pub const BUNDLE_REFINEMENTS: usize = 10;
+/// Quanta of the cut a key frame, at most; reached only on instances that would miss the deadline.
+pub const CUT_QUANTA: usize = 400;
+/// Steps of a quantum: about half a millisecond.
+pub const CUT_QUANTUM_STEPS: u32 = 20_000;

@@ -66,6 +66,23 @@ impl Fusion {
         self.cells.fill(UNSEEN);
     }
 
+    /// Takes the memory back from a grid that was published.
+    pub(super) fn adopt(&mut self, grid: &Grid) {
+        for (index, cell) in self.cells.iter_mut().enumerate() {
+            let occupancy = grid.occupancy[index];
+            *cell = if occupancy < 0 {
+                UNSEEN
+            } else {
+                let share = (f32::from(occupancy) / 100.0).clamp(0.01, 0.99);
+                Memory {
+                    log_odds: (share / (1.0 - share)).ln(),
+                    age_s: f32::from(grid.age[index]) * 0.1,
+                    known: true,
+                }
+            };
+        }
+    }
+
     /// Moves the memory into the vehicle as it stands now.
     pub(super) fn shift(&mut self, motion: &Motion, grid: &Grid) {
         let (sin, cos) = motion.yaw_rad.sin_cos();

@@ -150,6 +150,17 @@ impl Grid {
         }
     }
 
+    /// Takes the cells of a grid of the same size.
+    ///
+    /// # Panics
+    /// Where the sizes differ.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.cell_m = other.cell_m;
+        self.occupancy.copy_from_slice(&other.occupancy);
+        self.reason.copy_from_slice(&other.reason);
+        self.age.copy_from_slice(&other.age);
+    }
+
     /// Whether a cell may be driven on.
     #[must_use]
     pub fn is_free(&self, row: usize, column: usize) -> bool {

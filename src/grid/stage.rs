@@ -82,6 +82,12 @@ impl GridStage {
         &self.grid
     }
 
+    /// Takes a published grid as the last one, for [`Self::carry`] to start from.
+    pub fn adopt(&mut self, grid: &Grid, world_from_vehicle: &Pose, stamp: Micros) {
+        self.fusion.adopt(grid);
+        self.last = Some((*world_from_vehicle, stamp));
+    }
+
     /// Moves and ages the last grid to a pose and time, without a new look (the ladder's "last grid moved").
     pub fn carry(&mut self, world_from_vehicle: &Pose, stamp: Micros) -> &Grid {
         let seconds = self.shift(world_from_vehicle, stamp);

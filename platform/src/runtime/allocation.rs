@@ -84,6 +84,14 @@ pub fn is_installed() -> bool {
     total_allocations() != before
 }
 
+/// Runs `work` as if outside every scope: for what is real-time on a thread of its own only.
+pub fn outside_scopes<T>(work: impl FnOnce() -> T) -> T {
+    let scopes = SCOPES.with(|scopes| scopes.replace(0));
+    let result = work();
+    SCOPES.with(|now| now.set(scopes));
+    result
+}
+
 /// While it lives, the allocations of its thread are counted as real-time ones. Scopes nest.
 #[derive(Debug)]
 pub struct RealTimeScope {

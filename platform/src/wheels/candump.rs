@@ -9,11 +9,12 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Error};
 use std::path::{Path, PathBuf};
 
+use freespace::port::WheelPort;
 use freespace::space::Micros;
 use freespace::track::WheelReading;
 
 use super::candump_line::{FrameKind, LineFault, LoggedFrame};
-use super::{DecodeFault, WheelDecoder, WheelSource};
+use super::{DecodeFault, WheelDecoder};
 
 /// How far a stamp may fall before the log counts as broken: the buses of one log are merged within a few milliseconds.
 const STEP_BACK_MICROS: u64 = 1_000_000;
@@ -158,7 +159,7 @@ impl CandumpWheels {
     }
 }
 
-impl WheelSource for CandumpWheels {
+impl WheelPort for CandumpWheels {
     fn readings_until(&mut self, until: Micros, out: &mut dyn FnMut(WheelReading)) {
         while let Some(reading) = self
             .readings

@@ -6,15 +6,8 @@
 pub mod candump;
 pub mod candump_line;
 pub mod dbc;
+mod sim;
 
 pub use candump::{CandumpError, CandumpOptions, CandumpWheels};
 pub use dbc::{DecodeFault, MappingError, WheelDecoder, WheelMapping};
-
-use freespace::space::Micros;
-use freespace::track::WheelReading;
-
-/// A source of wheel readings.
-pub trait WheelSource: Send {
-    /// Hands over every reading not yet handed over whose stamp is at most `until`, stamps never falling.
-    fn readings_until(&mut self, until: Micros, out: &mut dyn FnMut(WheelReading));
-}
+pub use sim::SimEncoders;

@@ -1,0 +1,126 @@
+//! The order of the stages: the one file that knows it.
+//!
+//! Two tasks share the work. [`FrameTask`] takes every frame through *frame* and *track*, and collects the views of a key
+//! frame in a [`KeyFrameJob`]. [`KeyFrameTask`] takes a job through *map*, *priors*, *segmentation*, *crf* and *grid*; its
+//! [`KeyFrameOutput`] goes to the publisher, its [`MapUpdate`] back to the frame task. Jobs and outputs are boxes that
+//! circulate: the caller owns them, so the tasks may run on two threads or, for a reproducible replay, on one.
+//!
+//! Bound: nothing is allocated after construction; refinement stops at its slice of [`Slices`] or at its cap in
+//! [`crate::budget`]. A full batch takes no further view until the next key frame, and counts it.
+
+mod frame_task;
+mod key_frame_task;
+
+pub use frame_task::{FrameOutcome, FrameTask, KeyFrameJob};
+pub use key_frame_task::{KeyFrameOutput, KeyFrameTask};
+
+use crate::crf::{Ablation, CrfConfig};
+use crate::deadline::Slices;
+use crate::frame::Camera;
+use crate::grid::GridConfig;
+use crate::map::MapConfig;
+use crate::priors::PriorsConfig;
+use crate::track::{TrackConfig, WheelConfig};
+
+/// Everything the stages are built from.
+#[derive(Clone, Debug)]
+pub struct PipelineConfig {
+    /// Lens, image size and mount.
+    pub camera: Camera,
+    /// Width and height in pixels that segmentation's output and the CRF work at.
+    pub working_size: (usize, usize),
+    /// Wheel encoders; none where the scale comes from the camera height.
+    pub wheels: Option<WheelConfig>,
+    /// When a frame becomes a key frame.
+    pub cadence: Cadence,
+    /// Where the refinement of each stage ends.
+    pub slices: Slices,
+    /// Settings of stage 2.
+    pub track: TrackConfig,
+    /// Settings of stage 3.
+    pub map: MapConfig,
+    /// Settings of stage 4.
+    pub priors: PriorsConfig,
+    /// Settings of stage 6.
+    pub crf: CrfConfig,
+    /// Terms of the energy that are dropped.
+    pub ablation: Ablation,
+    /// Settings of stage 7.
+    pub grid: GridConfig,
+}
+
+/// When a frame becomes a key frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cadence {
+    /// The first frame at or after each multiple of this time, whatever the frame rate.
+    Micros(u64),
+    /// Every n-th frame, by its index.
+    Frames(u64),
+}
+
+/// The stages, in their order; the name is the same in modules, timing columns and config tables.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Stage 1.
+    Frame,
+    /// Stage 2.
+    Track,
+    /// Stage 3.
+    Map,
+    /// Stage 4.
+    Priors,
+    /// Stage 5.
+    Segmentation,
+    /// Stage 6.
+    Crf,
+    /// Stage 7.
+    Grid,
+    /// Stage 8.
+    Emit,
+}
+
+impl Stage {
+    /// All stages, in their order.
+    pub const ALL: [Self; 8] = [
+        Self::Frame,
+        Self::Track,
+        Self::Map,
+        Self::Priors,
+        Self::Segmentation,
+        Self::Crf,
+        Self::Grid,
+        Self::Emit,
+    ];
+
+    /// The stage's one name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Frame => "frame",
+            Self::Track => "track",
+            Self::Map => "map",
+            Self::Priors => "priors",
+            Self::Segmentation => "segmentation",
+            Self::Crf => "crf",
+            Self::Grid => "grid",
+            Self::Emit => "emit",
+        }
+    }
+}
+
+/// Microseconds spent in each stage for one key frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StageTimes(pub [u64; Stage::ALL.len()]);
+
+impl StageTimes {
+    /// Adds to a stage.
+    pub const fn add(&mut self, stage: Stage, micros: u64) {
+        self.0[stage as usize] += micros;
+    }
+
+    /// Microseconds of a stage.
+    #[must_use]
+    pub const fn of(&self, stage: Stage) -> u64 {
+        self.0[stage as usize]
+    }
+}

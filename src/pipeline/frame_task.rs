@@ -1,0 +1,235 @@
+//! The work of every frame: *frame*, *track*, and the views of the coming key frame.
+
+use alloc::boxed::Box;
+
+use super::{Cadence, PipelineConfig, Stage, StageTimes};
+use crate::frame::{FrameError, FrameStage, ImageFault, RawFrame, RgbImage};
+use crate::health::Faults;
+use crate::map::{MapUpdate, View, ViewBatch};
+use crate::port::Clock;
+use crate::space::{Micros, Plane, Pose};
+use crate::track::{FrameEstimate, Tracker, TrackingState, Travel, WheelOdometer, WheelReading};
+
+/// What a key frame is made of.
+#[derive(Clone, Debug)]
+pub struct KeyFrameJob {
+    /// Number of the key frame, from 0.
+    pub sequence: u32,
+    /// Index of its frame.
+    pub frame: u64,
+    /// Capture stamp.
+    pub stamp: Micros,
+    /// Pose as tracked.
+    pub world_from_camera: Pose,
+    /// State of the tracker.
+    pub tracking: TrackingState,
+    /// Wheel travel at the stamp.
+    pub travel: Option<Travel>,
+    /// Speed over ground.
+    pub speed_mps: f64,
+    /// Faults noticed so far.
+    pub faults: Faults,
+    /// Views since the last key frame.
+    pub batch: ViewBatch,
+    /// The full-size picture; gray is replicated.
+    pub image: RgbImage,
+    /// Time spent in *frame* and *track*.
+    pub times: StageTimes,
+}
+
+impl KeyFrameJob {
+    /// An empty job for pictures of this size.
+    #[must_use]
+    pub fn new(width: usize, height: usize) -> Box<Self> {
+        Box::new(Self {
+            sequence: 0,
+            frame: 0,
+            stamp: Micros::default(),
+            world_from_camera: Pose::identity(),
+            tracking: TrackingState::DeadReckoning,
+            travel: None,
+            speed_mps: 0.0,
+            faults: Faults::NONE,
+            batch: ViewBatch::new(),
+            image: RgbImage::new(width, height),
+            times: StageTimes::default(),
+        })
+    }
+
+    fn clear(&mut self) {
+        self.batch.clear();
+        self.faults = Faults::NONE;
+        self.times = StageTimes::default();
+    }
+}
+
+/// What became of one frame.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameOutcome {
+    /// Pose and state.
+    pub estimate: FrameEstimate,
+    /// What is wrong with the picture, if anything.
+    pub fault: Option<ImageFault>,
+    /// Whether the job is complete: this frame is a key frame.
+    pub is_key_frame: bool,
+}
+
+/// The work of every frame.
+pub struct FrameTask {
+    stage: FrameStage,
+    tracker: Tracker,
+    wheels: Option<WheelOdometer>,
+    cadence: Cadence,
+    next_key_frame: Option<Micros>,
+    plane_in_camera: Plane,
+    frames: u64,
+    sequence: u32,
+    last: Option<FrameEstimate>,
+    rejected_views: u64,
+}
+
+impl FrameTask {
+    /// Allocates the stages *frame* and *track*.
+    #[must_use]
+    pub fn new(config: &PipelineConfig) -> Self {
+        Self {
+            stage: FrameStage::new(&config.camera),
+            tracker: Tracker::new(&config.camera, &config.track),
+            wheels: config.wheels.as_ref().map(|wheels| WheelOdometer::new(*wheels)),
+            cadence: config.cadence,
+            next_key_frame: None,
+            plane_in_camera: config.camera.mount.plane_in_camera(),
+            frames: 0,
+            sequence: 0,
+            last: None,
+            rejected_views: 0,
+        }
+    }
+
+    /// Takes a wheel reading; readings up to a frame's stamp, and better a little beyond, come before the frame.
+    pub fn wheel(&mut self, reading: WheelReading) {
+        if let Some(odometer) = &mut self.wheels {
+            odometer.push(reading);
+        }
+    }
+
+    /// Learns what the map found at an earlier key frame.
+    pub fn learn(&mut self, update: &MapUpdate, plane_in_camera: Option<&Plane>) {
+        self.tracker.apply(update);
+        if let Some(plane) = plane_in_camera {
+            self.plane_in_camera = *plane;
+        }
+    }
+
+    /// Takes a frame; fills `job`, which is complete where the outcome says so.
+    ///
+    /// `key_frame_wanted` makes this frame a key frame whatever the cadence says.
+    ///
+    /// # Errors
+    /// The frame does not fit the camera; nothing has changed then.
+    pub fn step(
+        &mut self,
+        raw: &RawFrame<'_>,
+        key_frame_wanted: bool,
+        job: &mut KeyFrameJob,
+        clock: &impl Clock,
+    ) -> Result<FrameOutcome, FrameError> {
+        let begin = clock.now();
+        let fault = self.stage.step(raw)?;
+        let decoded = clock.now();
+        let travel = self.wheels.as_ref().and_then(|wheels| wheels.travel_at(raw.stamp));
+        let estimate = self.tracker.step(
+            self.stage.previous_pyramid(),
+            self.stage.pyramid(),
+            raw.stamp,
+            travel,
+            &self.plane_in_camera,
+        );
+        self.collect_view(job);
+        if let Some(fault) = fault {
+            job.faults.insert(fault.into());
+        }
+        if self.wheels.is_some() && travel.is_none() {
+            job.faults.insert(Faults::WHEELS_SILENT);
+        }
+        let is_key_frame = self.is_due(raw.stamp) || key_frame_wanted;
+        if is_key_frame {
+            self.complete(raw, &estimate, job);
+        }
+        let end = clock.now();
+        job.times = StageTimes::default();
+        job.times.add(Stage::Frame, decoded.since(begin));
+        job.times.add(Stage::Track, end.since(decoded));
+        self.frames += 1;
+        self.last = Some(estimate);
+        Ok(FrameOutcome { estimate, fault, is_key_frame })
+    }
+
+    /// Prepares a job that came back for the views of the next key frame.
+    pub fn recycle(job: &mut KeyFrameJob) {
+        job.clear();
+    }
+
+    /// Views that found their batch full.
+    #[must_use]
+    pub const fn rejected_views(&self) -> u64 {
+        self.rejected_views
+    }
+
+    fn collect_view(&mut self, job: &mut KeyFrameJob) {
+        if !self.tracker.wants_view() {
+            return;
+        }
+        if job.batch.is_full() {
+            self.rejected_views += 1;
+            return;
+        }
+        // A view is large: it is written in place, after an empty one was pushed.
+        if job.batch.push(View::default()).is_ok()
+            && let Some(view) = job.batch.last_mut()
+        {
+            self.tracker.view_into(view);
+        }
+    }
+
+    fn is_due(&mut self, stamp: Micros) -> bool {
+        match self.cadence {
+            Cadence::Frames(n) => self.frames.is_multiple_of(n.max(1)),
+            Cadence::Micros(period) => {
+                let due = *self.next_key_frame.get_or_insert(stamp);
+                if stamp < due {
+                    return false;
+                }
+                let mut next = due;
+                // One step, or as many as a gap in the frames spans.
+                next = next.plus(period.max(1) * (1 + stamp.since(next) / period.max(1)));
+                self.next_key_frame = Some(next);
+                true
+            }
+        }
+    }
+
+    fn complete(&mut self, raw: &RawFrame<'_>, estimate: &FrameEstimate, job: &mut KeyFrameJob) {
+        job.sequence = self.sequence;
+        self.sequence = self.sequence.wrapping_add(1);
+        job.frame = self.frames;
+        job.stamp = raw.stamp;
+        job.world_from_camera = estimate.world_from_camera;
+        job.tracking = estimate.state;
+        job.travel = estimate.travel;
+        job.speed_mps = self.speed_mps(estimate);
+        if matches!(estimate.state, TrackingState::DeadReckoning) && self.frames > 0 {
+            job.faults.insert(Faults::TRACKING_LOST);
+        }
+        raw.rgb_into(&mut job.image);
+    }
+
+    fn speed_mps(&self, estimate: &FrameEstimate) -> f64 {
+        let Some(last) = &self.last else { return 0.0 };
+        let seconds = estimate.stamp.seconds_since(last.stamp);
+        if seconds <= 0.0 {
+            return 0.0;
+        }
+        (estimate.world_from_camera.translation.vector - last.world_from_camera.translation.vector).norm() / seconds
+    }
+}
