@@ -40,6 +40,12 @@ pub const MAX_CELLS: usize = 240_000;
 pub const MAX_CLASSES: usize = 32;
 /// Concentric spheres of the colour-line model.
 pub const COLOUR_SLICES: usize = 32;
+/// Network runs a key frame at most, side by side across the image.
+pub const MAX_TILES: usize = 3;
+/// Part of a tile's width that it shares with its neighbour; the joint is blended over it.
+pub const TILE_OVERLAP: f32 = 0.2;
+/// Source samples a resampled pixel takes along an axis: enough to average when shrinking 5 times.
+pub const MAX_TAPS: usize = 10;
 
 /// A grid for every key frame is out this long after its capture (section 1 of the promise).
 pub const DEADLINE_MICROS: u64 = 500_000;

@@ -12,6 +12,7 @@ use proptest::prelude::*;
 use super::{CutState, GridCut, GridProblem};
 
 /// A problem that owns its capacities.
+#[derive(Debug)]
 struct Instance {
     width: usize,
     height: usize,
