@@ -86,7 +86,7 @@ fn straight_road_is_a_free_rectangle() {
         let camera = camera(yaw_rad);
         let stage = stage_with(&camera, straight_road);
         let grid = stage.grid();
-        for x_m in [8.0, 12.0, 16.0, 20.0] {
+        for x_m in [10.0, 12.0, 16.0, 20.0] {
             let (row, _) = grid.cell_at(x_m, 0.0).unwrap();
             let free: Vec<f32> = (0..grid.columns)
                 .filter(|&column| grid.is_free(row, column))

@@ -136,14 +136,14 @@ impl CellView {
             return COVERED_PIXEL;
         };
         let (x, y) = (pixel.x.round(), pixel.y.round());
-        // Written so that a NaN is no pixel.
-        let beside = !(x >= 0.0 && x < self.width as f64);
+        // A NaN is in no range and no pixel.
+        let across = (0.0..self.width as f64).contains(&x);
         if y >= self.height as f64 {
             COVERED_PIXEL
-        } else if beside || !(y >= 0.0) {
-            NO_PIXEL
-        } else {
+        } else if across && y >= 0.0 {
             (y as usize * self.width + x as usize) as u32
+        } else {
+            NO_PIXEL
         }
     }
 

@@ -76,6 +76,14 @@ fn street_gives_plane_car_and_belief_in_the_image() {
     assert!(plane.plane.offset_m.abs() < 0.05);
     assert!(!priors.boxes.is_empty());
 
+    // The union of the car's boxes covers its rear.
+    let mut blocked = 0;
+    for i in 0..100 {
+        let (left, up) = (-2.7 + 0.16 * f64::from(i % 10), 0.1 + 0.1 * f64::from(i / 10));
+        blocked +=
+            u32::from(stage.surface()[pixel(Point3::new(30.0, left, up), &second)] == Surface::Box as u8);
+    }
+    assert!(blocked >= 90, "{blocked} of 100");
     let car = pixel(Point3::new(30.0, -1.9, 0.8), &second);
     let lane = pixel(Point3::new(24.0, 1.0, 0.0), &second);
     let pavement = pixel(Point3::new(24.0, 4.5, 0.12), &second);
