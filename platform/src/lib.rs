@@ -1,1 +1,8 @@
 //! Devices, threads and the program around the `freespace` core.
+
+pub mod bad_input;
+pub mod camera;
+pub mod cli;
+pub mod config;
+pub mod eval;
+pub mod sink;

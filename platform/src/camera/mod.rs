@@ -1,0 +1,3 @@
+//! Cameras: one file a technology.
+
+pub mod replay;
