@@ -1,7 +1,13 @@
 //! Devices, threads and the program around the `freespace` core.
 
+pub mod bad_input;
+pub mod camera;
+pub mod cli;
 pub mod clock;
+pub mod config;
+pub mod eval;
 pub mod runtime;
 pub mod segmenter;
+pub mod sink;
 pub mod wheels;
 pub mod world;

@@ -1,0 +1,193 @@
+//! What can be said on the command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::camera::replay::KeyFrameRule;
+use crate::eval::masks::TruthKind;
+
+/// Where the road ahead is free, in metres and on time, from one camera and the wheel encoders.
+#[derive(Debug, Parser)]
+#[command(
+    name = "freespace",
+    version,
+    after_help = "\
+Examples:
+  freespace demo
+  freespace replay drive --config config/kitti.toml --can drive/wheel.candump --out out/drive
+  freespace eval trajectory out/drive/trajectory.kitti drive/poses.txt
+
+Exit codes: 0 done, 1 internal failure, 2 bad input."
+)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Drive a simulated road through the full pipeline at real pace.
+    Demo(DemoArgs),
+    /// Run recorded frames, and a CAN log, through the full pipeline.
+    Replay(ReplayArgs),
+    /// Compare results with truth.
+    #[command(subcommand)]
+    Eval(EvalCommand),
+}
+
+/// Arguments of `freespace demo`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  freespace demo
+  freespace demo --seconds 60 --seed 7 --out out/demo7")]
+pub struct DemoArgs {
+    /// Length of the drive in seconds.
+    #[arg(long, default_value_t = 30.0, value_name = "N", value_parser = seconds)]
+    pub seconds: f64,
+    /// Seed of the road and everything on it.
+    #[arg(long, default_value_t = 1, value_name = "S")]
+    pub seed: u64,
+    /// Folder for pictures, grids and report; new, empty, or of an earlier run, which is replaced.
+    #[arg(long, default_value = "out/demo", value_name = "DIR")]
+    pub out: PathBuf,
+    /// Configuration; the shipped config/demo.toml without it.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Print the report as JSON in place of the table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `freespace replay`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  freespace replay drive --config config/kitti.toml --can drive/wheel.candump --out out/drive
+  freespace replay clip --config config/camvid.toml --out out/clip --pace fast --truth-masks clip_truth --truth camvid
+  freespace replay drive --config config/kitti.toml --out out/2d --ablate 2d --key-frames labelled.txt")]
+pub struct ReplayArgs {
+    /// KITTI odometry folder (image_0/ or images/, times.txt, calib.txt) or a folder of PNG or JPEG files.
+    pub source: PathBuf,
+    /// Vehicle and camera.
+    #[arg(long, value_name = "FILE", default_value = "config/kitti.toml")]
+    pub config: PathBuf,
+    /// candump log with the wheel message that the configuration describes.
+    #[arg(long, value_name = "LOG")]
+    pub can: Option<PathBuf>,
+    /// Folder for the results; new, empty, or of an earlier run, which is replaced.
+    #[arg(long, value_name = "DIR", default_value = "out/replay")]
+    pub out: PathBuf,
+    /// Frames at the pace of their stamps, or as fast as they are worked off (same input, same bytes out).
+    #[arg(long, value_enum, default_value_t = Pace::Real)]
+    pub pace: Pace,
+    /// Every Nth frame, or a file of frame names that are key frames besides those of the configured interval.
+    #[arg(long, value_name = "every=N|FILE")]
+    pub key_frames: Option<KeyFrameRule>,
+    /// Leave terms out of the energy: `2d` keeps the image alone, `3d` the geometry alone.
+    #[arg(long, value_enum)]
+    pub ablate: Option<Ablation>,
+    /// Truth to compare with.
+    #[command(flatten)]
+    pub truth: TruthArgs,
+    /// Print the report as JSON in place of the table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Truth for the report of a replay.
+#[derive(Clone, Debug, Default, Args)]
+pub struct TruthArgs {
+    /// True poses in KITTI's format; SOURCE/poses.txt without it, where that exists.
+    #[arg(long, value_name = "FILE")]
+    pub truth_poses: Option<PathBuf>,
+    /// Folder of true masks, NAME.png; SOURCE/labels without it, where that exists.
+    #[arg(long, value_name = "DIR")]
+    pub truth_masks: Option<PathBuf>,
+    /// What the values of the true masks mean: camvid, kitti or world.
+    #[arg(long, value_name = "KIND", default_value = "kitti")]
+    pub truth: TruthKind,
+}
+
+/// Pace of a replay.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Pace {
+    /// That of the stamps.
+    Real,
+    /// As fast as it goes.
+    Fast,
+}
+
+/// What an ablation keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Ablation {
+    /// The network and colour lines alone.
+    #[value(name = "2d")]
+    Only2d,
+    /// Plane and boxes alone.
+    #[value(name = "3d")]
+    Only3d,
+}
+
+/// What to compare.
+#[derive(Debug, Subcommand)]
+pub enum EvalCommand {
+    /// Road masks: precision, recall and F, pooled over all pixels.
+    #[command(after_help = "Example:\n  freespace eval masks out/drive/masks drive/labels --truth kitti")]
+    Masks {
+        /// Folder of masks, NAME.png, 0 not road.
+        predictions: PathBuf,
+        /// Folder of truth, NAME.png.
+        truth_dir: PathBuf,
+        /// What the truth's values mean: camvid (3 road, 11 void), kitti (0, 1, 255 ignored) or world.
+        #[arg(long, value_name = "KIND", default_value = "kitti")]
+        truth: TruthKind,
+        /// Print each frame too.
+        #[arg(long)]
+        frames: bool,
+        /// Print JSON with the keys of report.json.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Trajectory: position error after SE(3) and Sim(3) alignment, scale, KITTI's segment errors.
+    #[command(after_help = "\
+Examples:
+  freespace eval trajectory out/drive/trajectory.kitti drive/poses.txt
+  freespace eval trajectory out/drive/trajectory.tum drive/poses.txt --times drive/times.txt")]
+    Trajectory {
+        /// Estimate, KITTI or TUM format.
+        estimate: PathBuf,
+        /// Truth, KITTI or TUM format.
+        truth: PathBuf,
+        /// Times of the truth's rows, one a line in seconds; pairs them with a TUM estimate.
+        #[arg(long, value_name = "FILE")]
+        times: Option<PathBuf>,
+        /// Print JSON with the keys of report.json.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Grids: intersection over union of free cells that the truth has seen.
+    #[command(after_help = "Example:\n  freespace eval grid out/demo/grids truth/grids")]
+    Grid {
+        /// Folder of grids, NAME.npy with NAME.json.
+        predictions: PathBuf,
+        /// Folder of true grids.
+        truth_dir: PathBuf,
+        /// Farthest row compared, metres ahead of the vehicle origin.
+        #[arg(long, value_name = "METRES", default_value_t = 30.0)]
+        range: f64,
+        /// Print JSON with the keys of report.json.
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if (1.0..=3600.0).contains(&value) => Ok(value),
+        _ => Err("give a number of seconds from 1 to 3600".to_owned()),
+    }
+}

@@ -1,0 +1,65 @@
+//! Why a command ended early, and its exit code.
+
+use std::process::ExitCode;
+
+use miette::{Diagnostic, MietteHandlerOpts, Report};
+
+use crate::bad_input::BadInput;
+use crate::sink::recording::RecordingError;
+
+/// Why a command ended early.
+#[derive(Debug)]
+pub enum Failure {
+    /// What the user gave is wrong: exit code 2.
+    BadInput(Report),
+    /// Something else failed: exit code 1.
+    Internal(Report),
+}
+
+impl Failure {
+    /// A fault of what the user gave.
+    pub fn bad_input(error: impl Diagnostic + Send + Sync + 'static) -> Self {
+        Self::BadInput(Report::new(error))
+    }
+
+    /// A fault of the program or its machine.
+    pub fn internal(error: impl Diagnostic + Send + Sync + 'static) -> Self {
+        Self::Internal(Report::new(error))
+    }
+}
+
+impl From<BadInput> for Failure {
+    fn from(error: BadInput) -> Self {
+        Self::bad_input(error)
+    }
+}
+
+impl From<RecordingError> for Failure {
+    fn from(error: RecordingError) -> Self {
+        match error {
+            RecordingError::Folder(bad) => Self::bad_input(bad),
+            RecordingError::Write { .. } => Self::internal(error),
+        }
+    }
+}
+
+/// Prints the fault, if there is one, and gives the exit code.
+#[must_use]
+pub fn finish(result: Result<(), Failure>) -> ExitCode {
+    // Lines are never wrapped: a path broken in two cannot be searched for or copied. Fails where a hook is set already.
+    let _ = miette::set_hook(Box::new(|_| {
+        Box::new(
+            MietteHandlerOpts::new()
+                .wrap_lines(false)
+                .context_lines(1)
+                .build(),
+        )
+    }));
+    let (report, code) = match result {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(Failure::BadInput(report)) => (report, 2),
+        Err(Failure::Internal(report)) => (report, 1),
+    };
+    eprintln!("{report:?}");
+    ExitCode::from(code)
+}

@@ -1,0 +1,13 @@
+//! The command line: arguments in, an exit code out.
+//!
+//! Exit codes: 0 done, 1 internal failure, 2 bad input (file, line or field, and fix are printed to standard error).
+
+mod args;
+mod eval;
+mod failure;
+mod replay;
+
+pub use args::{Ablation, Cli, Command, DemoArgs, EvalCommand, Pace, ReplayArgs, TruthArgs};
+pub use eval::run as run_eval;
+pub use failure::{Failure, finish};
+pub use replay::{ReplayInputs, open_inputs};

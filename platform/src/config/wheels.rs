@@ -1,0 +1,280 @@
+//! `[wheels]`: where wheel readings come from and how a CAN message carries them.
+
+use std::path::PathBuf;
+
+use freespace::track::WheelConfig;
+use serde::Deserialize;
+
+use super::{Invalid, within};
+
+/// What the config says of the wheel encoders.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WheelsSection {
+    /// Where readings come from.
+    pub source: WheelSource,
+    /// Counters or speeds.
+    pub kind: Option<WheelKind>,
+    /// DBC file, relative to the config file.
+    pub dbc: Option<PathBuf>,
+    /// Name of the message in the DBC file.
+    pub message: Option<String>,
+    /// Signal of each wheel.
+    pub signals: Option<FourSignals>,
+    /// Signals of the direction of travel, of counters that do not tell.
+    pub direction: Option<DirectionSignals>,
+    /// Metres a raw count, before the DBC's factor.
+    pub metres_per_count: Option<f64>,
+    /// Raw values of a counter before it wraps.
+    pub modulus: Option<u32>,
+    /// Metres a second in one physical unit of the DBC's speed.
+    pub mps_per_unit: Option<f64>,
+    /// Distance between the wheels of an axle.
+    pub track_m: Option<f64>,
+    /// Silence after which the travel is unknown.
+    pub timeout_s: Option<f64>,
+    /// Stamp in the CAN log minus stamp of the frame taken at the same instant.
+    pub time_offset_s: Option<f64>,
+}
+
+/// Where wheel readings come from.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum WheelSource {
+    /// There are none: scale from the camera height.
+    #[default]
+    None,
+    /// A CAN message.
+    Can,
+    /// The simulated road.
+    Sim,
+}
+
+/// What a reading holds.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum WheelKind {
+    /// Pulse counters that wrap.
+    Counts,
+    /// Speeds.
+    Speeds,
+}
+
+/// A signal name for each wheel.
+#[derive(Clone, Debug, Deserialize, PartialEq, Eq)]
+#[serde(deny_unknown_fields)]
+pub struct FourSignals {
+    /// Front left.
+    pub front_left: String,
+    /// Front right.
+    pub front_right: String,
+    /// Rear left.
+    pub rear_left: String,
+    /// Rear right.
+    pub rear_right: String,
+}
+
+impl FourSignals {
+    /// The names in the core's order: front left, front right, rear left, rear right.
+    #[must_use]
+    pub fn names(&self) -> [&str; 4] {
+        [
+            &self.front_left,
+            &self.front_right,
+            &self.rear_left,
+            &self.rear_right,
+        ]
+    }
+}
+
+/// Direction of travel: a signal for each wheel and its two raw values.
+#[derive(Clone, Debug, Deserialize, PartialEq, Eq)]
+#[serde(deny_unknown_fields)]
+pub struct DirectionSignals {
+    /// Front left.
+    pub front_left: String,
+    /// Front right.
+    pub front_right: String,
+    /// Rear left.
+    pub rear_left: String,
+    /// Rear right.
+    pub rear_right: String,
+    /// Raw value when rolling ahead.
+    pub forward: u64,
+    /// Raw value when rolling back.
+    pub backward: u64,
+}
+
+impl DirectionSignals {
+    /// The names in the core's order: front left, front right, rear left, rear right.
+    #[must_use]
+    pub fn names(&self) -> [&str; 4] {
+        [
+            &self.front_left,
+            &self.front_right,
+            &self.rear_left,
+            &self.rear_right,
+        ]
+    }
+}
+
+/// The checked plan.
+#[derive(Clone, Debug)]
+pub enum Wheels {
+    /// There are none.
+    None,
+    /// The simulated road's.
+    Sim(WheelConfig),
+    /// Those of a CAN message.
+    Can(CanWheels),
+}
+
+/// Wheel readings in a CAN message.
+#[derive(Clone, Debug)]
+pub struct CanWheels {
+    /// DBC file.
+    pub dbc: PathBuf,
+    /// Name of the message.
+    pub message: String,
+    /// Signal of each wheel.
+    pub signals: FourSignals,
+    /// Signals of the direction of travel.
+    pub direction: Option<DirectionSignals>,
+    /// Counters or speeds.
+    pub kind: WheelKind,
+    /// Metres a second in one physical unit of the DBC's speed; 1 for counters.
+    pub mps_per_unit: f64,
+    /// Stamp in the log minus stamp of the frame taken at the same instant.
+    pub time_offset_s: f64,
+    /// For the core's odometer.
+    pub odometer: WheelConfig,
+}
+
+fn required<T: Clone>(key: &'static str, value: Option<&T>, fix: &str) -> Result<T, Invalid> {
+    value
+        .cloned()
+        .ok_or_else(|| Invalid::new(key, format!("`{key}` is missing"), fix))
+}
+
+impl WheelsSection {
+    pub(super) fn plan(&self) -> Result<Wheels, Invalid> {
+        match self.source {
+            WheelSource::None => self.check_empty().map(|()| Wheels::None),
+            WheelSource::Sim => Ok(Wheels::Sim(self.odometer()?)),
+            WheelSource::Can => self.can().map(Wheels::Can),
+        }
+    }
+
+    /// Keys that say nothing without a source are a mistake: the user believes that wheels are used.
+    fn check_empty(&self) -> Result<(), Invalid> {
+        let given = [
+            ("wheels.kind", self.kind.is_some()),
+            ("wheels.dbc", self.dbc.is_some()),
+            ("wheels.message", self.message.is_some()),
+            ("wheels.signals", self.signals.is_some()),
+        ];
+        match given.into_iter().find(|(_, given)| *given) {
+            Some((key, _)) => Err(Invalid::new(
+                key,
+                format!("`{key}` is given, but the source of [wheels] is \"none\""),
+                "set `source = \"can\"` in [wheels], or remove the key",
+            )),
+            None => Ok(()),
+        }
+    }
+
+    fn can(&self) -> Result<CanWheels, Invalid> {
+        let kind = required(
+            "wheels.kind",
+            self.kind.as_ref(),
+            "set it to \"counts\" or \"speeds\"",
+        )?;
+        let mps_per_unit = match kind {
+            WheelKind::Counts => 1.0,
+            WheelKind::Speeds => required(
+                "wheels.mps_per_unit",
+                self.mps_per_unit.as_ref(),
+                "metres a second in one unit of the DBC's speed: 0.44704 for mph, 0.2777778 for km/h",
+            )?,
+        };
+        within("wheels.mps_per_unit", mps_per_unit, 1e-6..=100.0, "m/s")?;
+        let time_offset_s = self.time_offset_s.unwrap_or(0.0);
+        within("wheels.time_offset_s", time_offset_s, -1e10..=1e10, "seconds")?;
+        Ok(CanWheels {
+            dbc: required(
+                "wheels.dbc",
+                self.dbc.as_ref(),
+                "name the DBC file that describes the message",
+            )?,
+            message: required(
+                "wheels.message",
+                self.message.as_ref(),
+                "name the message in the DBC file",
+            )?,
+            signals: required(
+                "wheels.signals",
+                self.signals.as_ref(),
+                "signals = { front_left = \"...\", front_right = \"...\", rear_left = \"...\", rear_right = \"...\" }",
+            )?,
+            direction: self.direction.clone(),
+            kind,
+            mps_per_unit,
+            time_offset_s,
+            odometer: self.odometer()?,
+        })
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a time-out of at most 10 s"
+    )]
+    fn odometer(&self) -> Result<WheelConfig, Invalid> {
+        let kind = required(
+            "wheels.kind",
+            self.kind.as_ref(),
+            "set it to \"counts\" or \"speeds\"",
+        )?;
+        let (metres_per_count, modulus) = match kind {
+            WheelKind::Speeds => (0.0, 0),
+            WheelKind::Counts => (
+                required(
+                    "wheels.metres_per_count",
+                    self.metres_per_count.as_ref(),
+                    "metres that the car moves in one raw count: wheel circumference over counts a turn",
+                )?,
+                required(
+                    "wheels.modulus",
+                    self.modulus.as_ref(),
+                    "raw values before the counter wraps: 256 for 8 bits",
+                )?,
+            ),
+        };
+        if kind == WheelKind::Counts {
+            within("wheels.metres_per_count", metres_per_count, 1e-5..=3.0, "metres")?;
+            within(
+                "wheels.modulus",
+                f64::from(modulus),
+                4.0..=4_294_967_295.0,
+                "counts",
+            )?;
+        }
+        let track_m = required(
+            "wheels.track_m",
+            self.track_m.as_ref(),
+            "metres between the rear wheels",
+        )?;
+        within("wheels.track_m", track_m, 0.3..=4.0, "metres")?;
+        let timeout_s = self.timeout_s.unwrap_or(DEFAULT_TIMEOUT_S);
+        within("wheels.timeout_s", timeout_s, 0.01..=10.0, "seconds")?;
+        Ok(WheelConfig {
+            metres_per_count,
+            modulus,
+            track_m,
+            timeout_micros: (timeout_s * 1e6).round() as u64,
+        })
+    }
+}
+
+/// Ten missed messages at 50 Hz, the slowest wheel message of the shipped configurations.
+const DEFAULT_TIMEOUT_S: f64 = 0.2;

@@ -1,0 +1,3 @@
+//! Sinks: where results go; one folder or file a technology.
+
+pub mod recording;
