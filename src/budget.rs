@@ -8,10 +8,23 @@ pub const MAX_WIDTH_PX: usize = 1920;
 /// See [`MAX_WIDTH_PX`].
 pub const MAX_HEIGHT_PX: usize = 1280;
 
+/// Levels of the luma pyramid: motion up to about 60 px is 8 px at the coarsest.
+pub const PYRAMID_LEVELS: usize = 4;
+
 /// Keypoint tracks alive at once.
 pub const MAX_TRACKS: usize = 800;
 /// Wheel readings kept for interpolation: 2 s at 100 Hz.
 pub const WHEEL_HISTORY: usize = 200;
+/// Cells the image is divided into for new corners: two tracks each.
+pub const CORNER_CELLS: usize = 400;
+/// Widest corner cell; bounds the buffers of the corner score. 1920 x 1280 over 300 cells is 91 px.
+pub const CORNER_CELL_PX: usize = 96;
+/// Tracking iterations on one pyramid level; three to five are usual.
+pub const KLT_ITERATIONS: usize = 10;
+/// Gauss-Newton steps of a frame's pose.
+pub const POSE_ITERATIONS: usize = 10;
+/// Tracked poses kept to be corrected by a late map: 2 s at 30 frames a second.
+pub const RECENT_POSES: usize = 64;
 
 /// Views handed to the map at one key frame.
 pub const BATCH_VIEWS: usize = 6;
