@@ -5,6 +5,8 @@
 
 use core::ops::{BitOr, BitOrAssign};
 
+use crate::frame::ImageFault;
+
 /// How good a published grid is, best first (the deadline's ladder).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
@@ -69,19 +71,19 @@ impl ScaleState {
     }
 }
 
-/// Where the pose comes from.
+/// How a frame's pose came about.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum TrackingState {
-    /// No map yet.
+    /// Only the wheels, or the last speed, and the last turn rate; so are the first frames.
     #[default]
-    Starting = 0,
-    /// Tracked against landmarks.
-    Tracking = 1,
-    /// The car stands still; the pose is held on purpose.
-    Standing = 2,
-    /// Landmarks are lost; the wheels carry the pose.
-    DeadReckoning = 3,
+    DeadReckoning = 0,
+    /// Many tracks agree.
+    Good = 1,
+    /// The car stands: the pose is held on purpose.
+    Standstill = 2,
+    /// Few tracks agree: usable, less certain.
+    Weak = 3,
 }
 
 impl TrackingState {
@@ -89,10 +91,10 @@ impl TrackingState {
     #[must_use]
     pub const fn from_wire(number: u8) -> Option<Self> {
         Some(match number {
-            0 => Self::Starting,
-            1 => Self::Tracking,
-            2 => Self::Standing,
-            3 => Self::DeadReckoning,
+            0 => Self::DeadReckoning,
+            1 => Self::Good,
+            2 => Self::Standstill,
+            3 => Self::Weak,
             _ => return None,
         })
     }
@@ -240,6 +242,17 @@ mod tests {
             if let Some(level) = QualityLevel::from_wire(number) {
                 assert_eq!(level as u8, number);
             }
+        }
+    }
+}
+
+impl From<ImageFault> for Faults {
+    fn from(fault: ImageFault) -> Self {
+        match fault {
+            ImageFault::Frozen => Self::IMAGE_FROZEN,
+            ImageFault::Black => Self::IMAGE_BLACK,
+            ImageFault::OverExposed => Self::IMAGE_OVEREXPOSED,
+            ImageFault::Blocked => Self::IMAGE_BLOCKED,
         }
     }
 }

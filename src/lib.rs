@@ -11,21 +11,17 @@
 extern crate alloc;
 
 pub mod budget;
+pub mod deadline;
 pub mod health;
+pub mod pipeline;
+pub mod port;
 pub mod space;
 
-pub mod frame;
-
-pub mod track;
-
-pub mod map;
-
-pub mod priors;
-
-pub mod segmentation;
-
 pub mod crf;
-
-pub mod grid;
-
 pub mod emit;
+pub mod frame;
+pub mod grid;
+pub mod map;
+pub mod priors;
+pub mod segmentation;
+pub mod track;

@@ -12,14 +12,15 @@ mod frame_task;
 mod key_frame_task;
 
 pub use frame_task::{FrameOutcome, FrameTask, KeyFrameJob};
-pub use key_frame_task::{KeyFrameOutput, KeyFrameTask};
+pub use key_frame_task::{KeyFrameOutput, KeyFrameTask, Lesson, Pace};
 
-use crate::crf::{Ablation, CrfConfig};
+use crate::crf::CrfConfig;
 use crate::deadline::Slices;
 use crate::frame::Camera;
 use crate::grid::GridConfig;
 use crate::map::MapConfig;
 use crate::priors::PriorsConfig;
+use crate::segmentation::ColourConfig;
 use crate::track::{TrackConfig, WheelConfig};
 
 /// Everything the stages are built from.
@@ -41,10 +42,10 @@ pub struct PipelineConfig {
     pub map: MapConfig,
     /// Settings of stage 4.
     pub priors: PriorsConfig,
+    /// Settings of the colour lines of stage 5.
+    pub colour: ColourConfig,
     /// Settings of stage 6.
     pub crf: CrfConfig,
-    /// Terms of the energy that are dropped.
-    pub ablation: Ablation,
     /// Settings of stage 7.
     pub grid: GridConfig,
 }

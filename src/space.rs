@@ -96,7 +96,7 @@ impl Mount {
 }
 
 /// A plane with its unit normal towards the free side: `normal . point + offset_m` is the height of `point` over it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Plane {
     /// Unit normal; for a road it points up.
     pub normal: Vector3<f64>,

@@ -316,7 +316,7 @@ mod tests {
             level: QualityLevel::from_wire((seed % 6) as u8).unwrap(),
             faults: Faults(seed),
             scale: ScaleState::Wheels,
-            tracking: TrackingState::Standing,
+            tracking: TrackingState::Standstill,
             position_m: [1.0, -2.0, f64::from(seed)],
             free_m: core::array::from_fn(|i| i as f32 + 0.5),
             ..Header::default()

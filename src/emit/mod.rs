@@ -75,7 +75,7 @@ impl Default for Header {
             level: QualityLevel::Invalid,
             faults: Faults::NONE,
             scale: ScaleState::Unknown,
-            tracking: TrackingState::Starting,
+            tracking: TrackingState::DeadReckoning,
             position_m: [0.0; 3],
             orientation: [0.0, 0.0, 0.0, 1.0],
             speed_mps: 0.0,

@@ -1,7 +1,7 @@
 //! Stage 1, frame: pixels in; luma pyramid, small RGB and the lens out.
 //!
-//! In: a [`RawFrame`] of the configured size. Out: the luma [`Pyramid`] of this frame and of the last sound one before it,
-//! and on demand the picture in RGB at the working resolution. Invariant: the previous pyramid is never that of a frame with
+//! In: a [`RawFrame`] of the configured size. Out: the luma [`Pyramid`] of this frame and of the last sound one before it;
+//! a key frame's picture in RGB comes of [`RawFrame::rgb_into`]. Invariant: the previous pyramid is never that of a frame with
 //! an [`ImageFault`], so tracking goes on over a bad frame. Cost: a few passes over the pixels; nothing is allocated.
 //!
 //! The image is never warped: points are undistorted by the [`Lens`], and a [`RayTable`] holds each pixel's unit ray.
@@ -51,7 +51,7 @@ impl Camera {
     }
 }
 
-/// The stage: two pyramids that change places, and the small RGB picture.
+/// The stage: two pyramids that change places.
 #[derive(Clone, Debug)]
 pub struct FrameStage {
     current: Pyramid,
@@ -59,19 +59,17 @@ pub struct FrameStage {
     /// Whether `current` and `previous` hold sound frames.
     current_sound: bool,
     previous_sound: bool,
-    rgb: RgbImage,
 }
 
 impl FrameStage {
-    /// Buffers for the camera's frames, and for RGB at the working resolution of the energy.
+    /// Buffers for the camera's frames.
     #[must_use]
-    pub fn new(camera: &Camera, rgb_width: usize, rgb_height: usize) -> Self {
+    pub fn new(camera: &Camera) -> Self {
         Self {
             current: Pyramid::new(camera.width, camera.height),
             previous: Pyramid::new(camera.width, camera.height),
             current_sound: false,
             previous_sound: false,
-            rgb: RgbImage::new(rgb_width, rgb_height),
         }
     }
 
@@ -96,14 +94,6 @@ impl FrameStage {
         Ok(fault)
     }
 
-    /// Shrinks the frame to [`FrameStage::rgb`]; only key frames need it.
-    ///
-    /// # Errors
-    /// When the frame's size or length is wrong, or the working resolution exceeds it.
-    pub fn step_rgb(&mut self, raw: &RawFrame<'_>) -> Result<(), FrameError> {
-        raw.rgb_into(&mut self.rgb)
-    }
-
     /// Pyramid of the newest frame.
     #[must_use]
     pub const fn pyramid(&self) -> &Pyramid {
@@ -114,12 +104,6 @@ impl FrameStage {
     #[must_use]
     pub const fn previous_pyramid(&self) -> &Pyramid {
         &self.previous
-    }
-
-    /// The last key frame in colour.
-    #[must_use]
-    pub const fn rgb(&self) -> &RgbImage {
-        &self.rgb
     }
 }
 
@@ -145,7 +129,7 @@ mod tests {
                 roll_rad: 0.0,
             },
         };
-        let mut stage = FrameStage::new(&camera, 32, 24);
+        let mut stage = FrameStage::new(&camera);
         let pattern = |shift: usize| -> Vec<u8> {
             (0..64 * 48)
                 .map(|i| if (i % 64 + shift) / 8 % 2 == 0 { 40 } else { 160 })
@@ -180,7 +164,6 @@ mod tests {
             };
             assert_eq!(stage.step(&torn), Err(FrameError::WrongLength));
             assert_eq!(stage.pyramid().base().pixels(), &bytes[..]);
-            stage.step_rgb(&raw).unwrap();
         }
         assert_eq!(stage.previous_pyramid().base().pixels(), &frames[1][..]);
     }

@@ -150,6 +150,13 @@ impl Grid {
         }
     }
 
+    /// A grid of the configured size that knows nothing.
+    #[must_use]
+    pub fn sized(config: &GridConfig) -> Self {
+        let (rows, columns, cell_m) = config.size();
+        Self::new(rows, columns, cell_m)
+    }
+
     /// Takes the cells of a grid of the same size.
     ///
     /// # Panics

@@ -2,13 +2,13 @@
 
 use alloc::boxed::Box;
 
-use super::{Cadence, PipelineConfig, Stage, StageTimes};
+use super::{Cadence, Lesson, PipelineConfig, Stage, StageTimes};
 use crate::frame::{FrameError, FrameStage, ImageFault, RawFrame, RgbImage};
-use crate::health::Faults;
-use crate::map::{MapUpdate, View, ViewBatch};
+use crate::health::{Faults, TrackingState};
+use crate::map::{View, ViewBatch};
 use crate::port::Clock;
 use crate::space::{Micros, Plane, Pose};
-use crate::track::{FrameEstimate, Tracker, TrackingState, Travel, WheelOdometer, WheelReading};
+use crate::track::{FrameEstimate, Tracker, Travel, WheelOdometer, WheelReading};
 
 /// What a key frame is made of.
 #[derive(Clone, Debug)]
@@ -21,6 +21,8 @@ pub struct KeyFrameJob {
     pub stamp: Micros,
     /// Pose as tracked.
     pub world_from_camera: Pose,
+    /// Pose of the newest view, of this job or an earlier one, in the same chain.
+    pub world_from_view: Option<Pose>,
     /// State of the tracker.
     pub tracking: TrackingState,
     /// Wheel travel at the stamp.
@@ -46,6 +48,7 @@ impl KeyFrameJob {
             frame: 0,
             stamp: Micros::default(),
             world_from_camera: Pose::identity(),
+            world_from_view: None,
             tracking: TrackingState::DeadReckoning,
             travel: None,
             speed_mps: 0.0,
@@ -114,11 +117,9 @@ impl FrameTask {
     }
 
     /// Learns what the map found at an earlier key frame.
-    pub fn learn(&mut self, update: &MapUpdate, plane_in_camera: Option<&Plane>) {
-        self.tracker.apply(update);
-        if let Some(plane) = plane_in_camera {
-            self.plane_in_camera = *plane;
-        }
+    pub fn learn(&mut self, lesson: &Lesson) {
+        self.tracker.apply(&lesson.update);
+        self.plane_in_camera = lesson.plane_in_camera;
     }
 
     /// Takes a frame; fills `job`, which is complete where the outcome says so.
@@ -138,13 +139,16 @@ impl FrameTask {
         let fault = self.stage.step(raw)?;
         let decoded = clock.now();
         let travel = self.wheels.as_ref().and_then(|wheels| wheels.travel_at(raw.stamp));
-        let estimate = self.tracker.step(
-            self.stage.previous_pyramid(),
-            self.stage.pyramid(),
-            raw.stamp,
-            travel,
-            &self.plane_in_camera,
-        );
+        let estimate = match fault {
+            None => self.tracker.step(
+                self.stage.previous_pyramid(),
+                self.stage.pyramid(),
+                raw.stamp,
+                travel,
+                &self.plane_in_camera,
+            ),
+            Some(_) => self.tracker.coast(raw.stamp, travel),
+        };
         self.collect_view(job);
         if let Some(fault) = fault {
             job.faults.insert(fault.into());
@@ -215,13 +219,15 @@ impl FrameTask {
         job.frame = self.frames;
         job.stamp = raw.stamp;
         job.world_from_camera = estimate.world_from_camera;
+        job.world_from_view = self.tracker.world_from_view();
         job.tracking = estimate.state;
         job.travel = estimate.travel;
         job.speed_mps = self.speed_mps(estimate);
         if matches!(estimate.state, TrackingState::DeadReckoning) && self.frames > 0 {
             job.faults.insert(Faults::TRACKING_LOST);
         }
-        raw.rgb_into(&mut job.image);
+        // Cannot fail: the frame was taken above, and the job's picture has the camera's size.
+        let _ = raw.rgb_into(&mut job.image);
     }
 
     fn speed_mps(&self, estimate: &FrameEstimate) -> f64 {

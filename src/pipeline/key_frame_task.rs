@@ -7,7 +7,7 @@ use super::{KeyFrameJob, PipelineConfig, Stage, StageTimes};
 use crate::budget::{BUNDLE_REFINEMENTS, CUT_QUANTA, CUT_QUANTUM_STEPS};
 use crate::crf::{Ablation, CrfInputs, CrfStage};
 use crate::deadline::{Announcement, Slices};
-use crate::frame::{Camera, Lens, RayTable, RgbImage};
+use crate::frame::{Camera, Lens, PixelFormat, RawFrame, RayTable, RgbImage};
 use crate::grid::{Boundary, Grid, GridStage};
 use crate::health::{Faults, QualityLevel, ScaleState, TrackingState};
 use crate::map::{Map, MapUpdate};
@@ -15,6 +15,15 @@ use crate::port::{Clock, NetworkMiss, RoadNetwork};
 use crate::priors::{Priors, PriorsStage, ScaleEstimate};
 use crate::segmentation::{ColourLines, RoadProbability, reproject};
 use crate::space::{Micros, Plane, Pose};
+#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+use num_traits::Float as _;
+
+/// A scale measured with less confidence than this is not used (see [`ScaleEstimate::confidence`]).
+const SCALE_CONFIDENCE: f32 = 0.1;
+/// Share of a measured scale error that one key frame corrects.
+const SCALE_GAIN: f64 = 0.25;
+/// How much of a probability's distance from undecided survives where it stands in for a fresh one.
+const REPROJECTED_TRUST: f32 = 0.8;
 
 /// Everything a key frame gives.
 #[derive(Clone, Debug)]
@@ -77,8 +86,8 @@ impl KeyFrameOutput {
             energy_gap: 1.0,
             plane_in_camera: config.camera.mount.plane_in_camera(),
             priors: Priors::default(),
-            grid: Grid::new(&config.grid),
-            boundary: Boundary::default(),
+            grid: Grid::sized(&config.grid),
+            boundary: Boundary::new(0.0, 0.0),
             landmarks: 0,
             times: StageTimes::default(),
         })
@@ -158,6 +167,8 @@ pub struct KeyFrameTask {
     /// Pose of the key frame that `last_probability` belongs to.
     last_pose: Option<Pose>,
     colour_lines: ColourLines,
+    road_score: Box<[f32]>,
+    not_road_score: Box<[f32]>,
     crf: CrfStage,
     grid: GridStage,
 }
@@ -201,7 +212,9 @@ impl KeyFrameTask {
             probability: RoadProbability::new(width, height),
             last_probability: RoadProbability::new(width, height),
             last_pose: None,
-            colour_lines: ColourLines::new(width, height),
+            colour_lines: ColourLines::new(&config.colour),
+            road_score: vec![0.5; width * height].into_boxed_slice(),
+            not_road_score: vec![0.5; width * height].into_boxed_slice(),
             crf: CrfStage::new(width, height, &config.crf),
             grid: GridStage::new(&camera, config.grid, width, height),
         }
@@ -283,7 +296,8 @@ impl KeyFrameTask {
         if !self.has_wheels
             && let Some(scale) = self.priors.measure_scale(self.map.landmarks(), &self.map.newest_pose())
         {
-            self.map.rescale(damped(&scale));
+            let is_first = self.map.scale_state() != ScaleState::CameraHeight;
+            self.map.rescale(correction(&scale, is_first));
             self.map.finish();
         }
     }
@@ -291,11 +305,14 @@ impl KeyFrameTask {
     /// The key frame's pose, moved as the map moved its newest view.
     fn refined_pose(&mut self, job: &KeyFrameJob) -> Pose {
         self.map.update_into(&mut self.update);
-        self.update.moved(&job.world_from_camera)
+        match &job.world_from_view {
+            Some(world_from_view) => self.update.moved(world_from_view, &job.world_from_camera),
+            None => job.world_from_camera,
+        }
     }
 
     fn teach(&mut self, lesson: &mut Lesson) {
-        lesson.update.clone_from(&self.update);
+        lesson.update.copy_from(&self.update);
         lesson.plane_in_camera = self.priors.plane_in_camera();
     }
 
@@ -308,7 +325,15 @@ impl KeyFrameTask {
         output: &mut KeyFrameOutput,
         lap: &mut Lap<'_, impl Clock>,
     ) -> bool {
-        job.image.resize_into(&mut self.image);
+        let picture = RawFrame {
+            stamp: job.stamp,
+            format: PixelFormat::Rgb24,
+            width: job.image.width(),
+            height: job.image.height(),
+            bytes: job.image.pixels(),
+        };
+        // Cannot fail: the working size is at most the camera's.
+        let _ = picture.rgb_into(&mut self.image);
         core::mem::swap(&mut self.probability, &mut self.last_probability);
         let until = job.stamp.plus(self.slices.segmentation_micros);
         let until = (self.pace == Pace::Real).then_some(until);
@@ -330,7 +355,8 @@ impl KeyFrameTask {
 
     fn reproject_last(&mut self, world_from_camera: &Pose) {
         let Some(last_pose) = &self.last_pose else {
-            self.probability.forget();
+            self.probability.road.fill(0.5);
+            self.probability.not_road.fill(0.5);
             return;
         };
         let previous_from_current = last_pose.inverse() * world_from_camera;
@@ -340,6 +366,7 @@ impl KeyFrameTask {
             &self.working_lens,
             &self.priors.plane_in_camera(),
             &previous_from_current,
+            REPROJECTED_TRUST,
             &mut self.probability,
         );
     }
@@ -351,7 +378,7 @@ impl KeyFrameTask {
             Ablation::Joint | Ablation::TwoD => self.colour_lines.learn(&self.image, &self.probability.road),
             Ablation::ThreeD => self.colour_lines.learn(&self.image, self.priors.belief()),
         }
-        self.colour_lines.score(&self.image);
+        self.colour_lines.score_into(&self.image, &mut self.road_score, &mut self.not_road_score);
     }
 
     /// Stage 6: the unaries' labels, then the cut until its slice ends.
@@ -362,8 +389,8 @@ impl KeyFrameTask {
             indicator_previous: Some(self.priors.indicator_previous()),
             belief: self.priors.belief(),
             belief_previous: Some(self.priors.belief_previous()),
-            road_score: self.colour_lines.road_score(),
-            not_road_score: self.colour_lines.not_road_score(),
+            road_score: &self.road_score,
+            not_road_score: &self.not_road_score,
             rgb: &self.image,
         });
         let ends = job.stamp.plus(self.slices.crf_micros);
@@ -380,6 +407,18 @@ impl KeyFrameTask {
 
     fn is_over(&self, clock: &impl Clock, ends: Micros) -> bool {
         self.pace == Pace::Real && clock.now() >= ends
+    }
+}
+
+/// What the map's lengths are multiplied by, without wheels: all that was measured at first, then a share of it, so that one
+/// bad plane does not make the scale jump.
+fn correction(scale: &ScaleEstimate, is_first: bool) -> f64 {
+    if scale.confidence < SCALE_CONFIDENCE {
+        1.0
+    } else if is_first {
+        scale.ratio
+    } else {
+        (SCALE_GAIN * scale.ratio.ln()).exp()
     }
 }
 
