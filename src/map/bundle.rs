@@ -15,7 +15,7 @@ use nalgebra::{Matrix2x3, Matrix3, Matrix6, Matrix6x3, Point3, UnitQuaternion, V
 use num_traits::Float as _;
 
 use super::dense::solve_cholesky;
-use super::motion_factor::{Rig, rows};
+use super::motion_factor::{Rig, Row, path_sigma_m, rows, wheel_row};
 use super::triangulate::{SIGHT_SIGMA_PX, depth_sigma, reprojection};
 use super::window::{Entry, Window};
 use crate::budget::{BUNDLE_LANDMARKS, MAX_ITERATIONS, WINDOW_VIEWS};
@@ -41,6 +41,37 @@ struct Link {
     view: usize,
     /// Turn and position of the view by the landmark.
     coupling: Matrix6x3<f64>,
+}
+
+/// The length of all believed wheel steps together: the errors of single steps (half a pulse at each end) cancel in it.
+struct Path {
+    residual_m: f64,
+    length_m: f64,
+    by_views: [f64; POSES],
+}
+
+impl Default for Path {
+    fn default() -> Self {
+        Self { residual_m: 0.0, length_m: 0.0, by_views: [0.0; POSES] }
+    }
+}
+
+impl Path {
+    fn add(&mut self, step: &Row, ends: [Option<usize>; 2], chord_m: f64) {
+        self.residual_m += step.residual;
+        self.length_m += chord_m;
+        for (end, by_view) in ends.into_iter().zip([&step.by_first, &step.by_second]) {
+            if let Some(view) = end {
+                for r in 0..6 {
+                    self.by_views[6 * view + r] += by_view[r];
+                }
+            }
+        }
+    }
+
+    fn weight(&self) -> f64 {
+        path_sigma_m(self.length_m).powi(-2)
+    }
 }
 
 /// State between iterations and the storage they work in.
@@ -176,12 +207,17 @@ impl Bundle {
 
     fn add_motion(&mut self, window: &Window, rig: &Rig, held: usize, n: usize) -> f64 {
         let mut cost = 0.0;
+        let mut path = Path::default();
         for second in 1..window.views().len() {
             let views = window.views();
+            let ends = [(second - 1).checked_sub(held), second.checked_sub(held)];
+            if let Some(step) = wheel_row(rig, &views[second - 1], &views[second]) {
+                path.add(&step, ends, views[second].wheel_step.map_or(0.0, |w| w.chord_m));
+            }
             for row in rows(rig, &views[second - 1], &views[second], sightings_in_use(window, second)) {
                 let (loss, weight) = huber(row.residual.abs(), HUBER_SIGMA);
                 cost += loss;
-                let ends = [((second - 1).checked_sub(held), &row.by_first), (second.checked_sub(held), &row.by_second)];
+                let ends = [(ends[0], &row.by_first), (ends[1], &row.by_second)];
                 for (a, by_a) in ends {
                     let Some(a) = a else { continue };
                     for r in 0..6 {
@@ -196,7 +232,14 @@ impl Bundle {
                 }
             }
         }
-        cost
+        let weight = path.weight();
+        for i in 0..n {
+            self.side[i] -= weight * path.residual_m * path.by_views[i];
+            for j in 0..=i {
+                self.normal[i * n + j] += weight * path.by_views[i] * path.by_views[j];
+            }
+        }
+        cost + 0.5 * weight * path.residual_m.powi(2)
     }
 
     /// Eliminates one landmark: adds its part of the reduced equations; returns its cost.
@@ -319,11 +362,16 @@ impl Bundle {
     fn cost(&self, window: &Window, rig: &Rig) -> f64 {
         let mut cost = 0.0;
         let views = window.views();
+        let mut path = Path::default();
         for second in 1..views.len() {
+            if let Some(step) = wheel_row(rig, &views[second - 1], &views[second]) {
+                path.add(&step, [None, None], views[second].wheel_step.map_or(0.0, |w| w.chord_m));
+            }
             for row in rows(rig, &views[second - 1], &views[second], sightings_in_use(window, second)) {
                 cost += huber(row.residual.abs(), HUBER_SIGMA).0;
             }
         }
+        cost += 0.5 * path.weight() * path.residual_m.powi(2);
         let mut camera_from_world = [Pose::identity(); WINDOW_VIEWS];
         for (inverse, view) in camera_from_world.iter_mut().zip(views) {
             *inverse = view.world_from_camera.inverse();

@@ -13,6 +13,8 @@ use crate::space::Pose;
 /// Standard deviation of the wheel distance: half a percent (tyre pressure and load) and half a pulse.
 const WHEEL_SIGMA: f64 = 0.005;
 const WHEEL_SIGMA_M: f64 = 0.01;
+/// Standard deviation of a path over many steps, against its neighbours in time: the tyres do not change meanwhile.
+const PATH_SIGMA: f64 = 0.001;
 /// Side slip of the rear axle is below one degree in ordinary driving; the mount's yaw is known no better than two.
 const SIDE_SIGMA: f64 = 0.05;
 const SIDE_SIGMA_M: f64 = 0.02;
@@ -72,6 +74,11 @@ pub(super) fn wheel_sigma_m(distance_m: f64) -> f64 {
     WHEEL_SIGMA_M + WHEEL_SIGMA * distance_m
 }
 
+/// Standard deviation of a path's length over several steps.
+pub(super) fn path_sigma_m(distance_m: f64) -> f64 {
+    WHEEL_SIGMA_M + PATH_SIGMA * distance_m
+}
+
 fn row(turn: Vector3<f64>, position: Vector3<f64>) -> RowVector6<f64> {
     RowVector6::new(turn.x, turn.y, turn.z, position.x, position.y, position.z)
 }
@@ -84,22 +91,36 @@ pub(super) fn rows(rig: &Rig, first: &MapView, second: &MapView, sightings: usiz
     rows
 }
 
+/// Rear axle's step less the wheel distance, in metres; none where the wheels are not believed or nothing moves.
+pub(super) fn wheel_row(rig: &Rig, first: &MapView, second: &MapView) -> Option<Row> {
+    let wheel = second.wheel_step?;
+    let (a, b) = (&first.world_from_camera, &second.world_from_camera);
+    let step = rig.rear(b) - rig.rear(a);
+    let along = step.try_normalize(1e-3)?;
+    // How the rear axle moves with the turn of each camera: d(R r) = -R [r]x d(turn), and (R [r]x)' u = u' R x r.
+    let lever = |pose: &Pose| (pose.rotation.inverse() * along).cross(&rig.rear_in_camera);
+    Some(Row {
+        residual: step.norm() - wheel.chord_m,
+        by_first: row(lever(a), -along),
+        by_second: row(-lever(b), along),
+    })
+}
+
 fn wheel_rows(rig: &Rig, first: &MapView, second: &MapView, rows: &mut heapless::Vec<Row, MAX_ROWS>) {
     let Some(wheel) = second.wheel_step else { return };
+    if let Some(row) = wheel_row(rig, first, second) {
+        let weight = 1.0 / wheel_sigma_m(wheel.chord_m);
+        let _ = rows.push(Row {
+            residual: row.residual * weight,
+            by_first: row.by_first * weight,
+            by_second: row.by_second * weight,
+        });
+    }
     let (a, b) = (&first.world_from_camera, &second.world_from_camera);
     let step = rig.rear(b) - rig.rear(a);
     let (turn_a, turn_b) = (a.rotation.to_rotation_matrix(), b.rotation.to_rotation_matrix());
-    // How the rear axle moves with the turn of each camera: d(R r) = -R [r]x d(turn).
     let lever = rig.rear_in_camera.cross_matrix();
     let (by_turn_a, by_turn_b): (Matrix3<f64>, Matrix3<f64>) = (turn_a.matrix() * lever, -(turn_b.matrix() * lever));
-    if let Some(along) = step.try_normalize(1e-3) {
-        let weight = 1.0 / wheel_sigma_m(wheel.chord_m);
-        let _ = rows.push(Row {
-            residual: (step.norm() - wheel.chord_m) * weight,
-            by_first: row(by_turn_a.tr_mul(&along), -along) * weight,
-            by_second: row(by_turn_b.tr_mul(&along), along) * weight,
-        });
-    }
     // The axle does not slide sideways: its chord points along the mean of both headings.
     let (left_a, left_b) = (turn_a * rig.left_in_camera, turn_b * rig.left_in_camera);
     let left = 0.5 * (left_a + left_b);

@@ -109,7 +109,7 @@ impl Map {
         self.gate_new_sightings(first_new);
         self.triangulate_new();
         self.held = match self.scale.state {
-            ScaleState::Wheels => first_new.clamp(1, 2),
+            ScaleState::Wheels => 1,
             // The older half of what was known carries the scale on.
             ScaleState::CameraHeight | ScaleState::Held => (first_new / 2).max(1),
         };
