@@ -28,10 +28,24 @@ pub const RECENT_POSES: usize = 64;
 
 /// Views handed to the map at one key frame.
 pub const BATCH_VIEWS: usize = 6;
-/// Views in the bundle-adjustment window.
-pub const WINDOW_VIEWS: usize = 12;
 /// Landmarks in the map.
 pub const MAX_LANDMARKS: usize = 3000;
+
+// Map.
+/// Views in the bundle-adjustment window: two seconds at city speed, three key frames.
+pub const WINDOW_VIEWS: usize = 16;
+/// Tracks of the window, landmarks or not yet.
+pub const MAX_POINTS: usize = 6000;
+/// Landmarks that one bundle adjustment moves; the best seen first.
+pub const BUNDLE_LANDMARKS: usize = 1500;
+/// Earlier views that a new one is paired with.
+pub const VIEW_GRAPH_SPAN: usize = 3;
+/// Five-point samples a pair; the tracked motion makes a handful enough.
+pub const RANSAC_SAMPLES: usize = 64;
+/// Bundle-adjustment iterations inside an insertion.
+pub const BASE_ITERATIONS: usize = 2;
+/// Bundle-adjustment iterations a batch, base and refinement together.
+pub const MAX_ITERATIONS: usize = 12;
 
 /// Obstacle boxes, the k of k-means.
 pub const MAX_BOXES: usize = 48;

@@ -1,4 +1,25 @@
-//! Stage 3, map: the paper's Robust SLAM over a bounded window of views.
+//! Stage 3, map: the paper's Robust SLAM over a bounded window of views, metric through the wheel distance.
+//!
+//! In: a [`ViewBatch`] a key frame, tracked pixels and wheel travel. Out: [`Landmark`]s and the newest pose in world space, and
+//! a [`MapUpdate`] for the tracker. [`Map`] tells how.
+
+mod bundle;
+mod dense;
+mod five_point;
+mod motion_factor;
+mod resection;
+mod robust_slam;
+mod rotation_averaging;
+mod scale;
+#[cfg(test)]
+mod street;
+mod translation_averaging;
+mod triangulate;
+mod two_view;
+mod window;
+
+pub use robust_slam::{Map, MapConfig};
+pub use scale::ScaleState;
 
 use nalgebra::{Point3, Vector2};
 

@@ -1,0 +1,660 @@
+//! The map itself: takes batches of views in, refines itself in quanta, and reports what the tracker should know.
+//!
+//! In: a [`ViewBatch`] a key frame. Out: [`Landmark`]s and poses in world space, metres. [`Map::insert`] is the base: relative
+//! poses, rotation averaging, translation averaging, triangulation and [`BASE_ITERATIONS`] of bundle adjustment leave a valid map
+//! always; each [`Map::refine`] is one more iteration; [`Map::finish`] culls. Nothing allocates after [`Map::new`].
+//! Source: Patra et al., Robust SLAM (2017): poses of small batches are stabilised by motion averaging before they are bundled.
+
+#![allow(clippy::cast_possible_truncation, reason = "counts are bounded by the window")]
+
+use alloc::vec::Vec;
+
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+use num_traits::Float as _;
+
+use super::bundle::{Bundle, landmark_depth_sigma};
+use super::motion_factor::{Rig, wheel_sigma_m};
+use super::resection::{Resection, mismatch, resect};
+use super::rotation_averaging::{RotationEdge, average_rotations};
+use super::scale::{ScaleMonitor, ScaleState, Verdict, VisualStep};
+use super::translation_averaging::{DirectionEdge, StepEdge, average_translations};
+use super::triangulate::triangulate;
+use super::two_view::{Match, Pcg, relative_pose};
+use super::window::{MAX_STRIKES, NO_POINT, WheelStep, Window, is_finite};
+use super::{Landmark, MapUpdate, View, ViewBatch};
+use crate::budget::{BASE_ITERATIONS, BATCH_VIEWS, MAX_LANDMARKS, MAX_TRACKS, VIEW_GRAPH_SPAN, WINDOW_VIEWS};
+use crate::frame::Camera;
+use crate::space::Pose;
+
+/// A sighting this far from its landmark is left out before bundle adjustment, and after it.
+const START_GATE_PX: f64 = 8.0;
+const FINISH_GATE_PX: f64 = 3.0;
+/// Share of a landmark's sightings that must agree.
+const MIN_AGREEMENT: f64 = 0.6;
+/// Depth over its standard deviation, at least, for a landmark to be given out.
+const MIN_DEPTH_CERTAINTY: f64 = 4.0;
+/// Weight of a tracked rotation among the averaged ones, in inliers.
+const TRACKED_WEIGHT: f64 = 5.0;
+/// Standard deviation of a tracked step without wheels, as a share.
+const TRACKED_STEP_SIGMA: f64 = 0.1;
+/// Views whose tracks the tracker may still follow.
+const LIVE_VIEWS: usize = 2;
+
+const EDGES: usize = BATCH_VIEWS * (VIEW_GRAPH_SPAN + 1);
+
+/// What the map may be told.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(default, deny_unknown_fields))]
+pub struct MapConfig {
+    /// Seed of the random samples; the same seed and input give the same map.
+    pub seed: u64,
+}
+
+/// A metric map of the last [`WINDOW_VIEWS`] views.
+#[derive(Debug)]
+pub struct Map {
+    camera: Camera,
+    rig: Rig,
+    window: Window,
+    bundle: Bundle,
+    scale: ScaleMonitor,
+    random: Pcg,
+    held: usize,
+    rescaled: f64,
+    matches: Vec<Match>,
+    landmarks: Vec<Landmark>,
+}
+
+/// The graph of the new views' relative poses.
+struct ViewGraph {
+    rotations: heapless::Vec<RotationEdge, EDGES>,
+    /// Direction in the first view's space; it becomes one in world space once rotations are averaged.
+    directions: heapless::Vec<DirectionEdge, EDGES>,
+}
+
+impl Map {
+    /// Reserves all storage.
+    #[must_use]
+    pub fn new(camera: &Camera, config: &MapConfig) -> Self {
+        Self {
+            camera: *camera,
+            rig: Rig::new(camera),
+            window: Window::new(),
+            bundle: Bundle::new(),
+            scale: ScaleMonitor::new(),
+            random: Pcg::new(config.seed),
+            held: 1,
+            rescaled: 1.0,
+            matches: Vec::with_capacity(MAX_TRACKS),
+            landmarks: Vec::with_capacity(MAX_LANDMARKS),
+        }
+    }
+
+    /// Takes new views in; the oldest leave the window. An empty batch changes nothing.
+    pub fn insert(&mut self, batch: &ViewBatch) {
+        if batch.is_empty() {
+            return;
+        }
+        self.window.make_room(batch.len());
+        let first_new = self.window.views().len();
+        for view in batch {
+            let (world_from_camera, step) = self.predicted(view);
+            self.window.push(view, world_from_camera, step, &self.camera);
+        }
+        self.window.link();
+        self.follow_update(first_new);
+        self.judge_wheels(first_new);
+        self.place(first_new);
+        self.gate_new_sightings(first_new);
+        self.triangulate_new();
+        self.held = match self.scale.state {
+            ScaleState::Wheels => 1,
+            // The older half of what was known carries the scale on.
+            ScaleState::CameraHeight | ScaleState::Held => (first_new / 2).max(1),
+        };
+        self.bundle.restart(&mut self.window);
+        for _ in 0..BASE_ITERATIONS {
+            if !self.refine() {
+                break;
+            }
+        }
+    }
+
+    /// One iteration of bundle adjustment; false once nothing more can be gained.
+    pub fn refine(&mut self) -> bool {
+        self.bundle.iterate(&mut self.window, &self.rig, self.held)
+    }
+
+    /// Culls what does not fit, triangulates again, and renews [`Self::landmarks`].
+    pub fn finish(&mut self) {
+        for point in 0..self.window.points.len() {
+            if self.window.points[point].located {
+                self.cull(point);
+            }
+        }
+        self.triangulate_new();
+        self.list_landmarks();
+    }
+
+    /// The landmarks as of the last [`Self::finish`], ordered by track.
+    #[must_use]
+    pub fn landmarks(&self) -> &[Landmark] {
+        &self.landmarks
+    }
+
+    /// World from camera of the newest view; the identity before the first.
+    #[must_use]
+    pub fn newest_pose(&self) -> Pose {
+        self.window.views().last().map_or_else(Pose::identity, |view| view.world_from_camera)
+    }
+
+    /// Stamps and poses of the window's views, oldest first.
+    pub fn poses(&self) -> impl Iterator<Item = (crate::space::Micros, Pose)> + '_ {
+        self.window.views().iter().map(|view| (view.stamp, view.world_from_camera))
+    }
+
+    /// Where the scale comes from at present.
+    #[must_use]
+    pub const fn scale_state(&self) -> ScaleState {
+        self.scale.state
+    }
+
+    /// Running mean of the wheels' distance over the picture's; 1 where both agree.
+    #[must_use]
+    pub const fn wheel_over_visual(&self) -> f64 {
+        self.scale.wheel_over_visual()
+    }
+
+    /// Wheel steps that were left out since the start.
+    #[must_use]
+    pub const fn rejected_wheel_steps(&self) -> u64 {
+        self.scale.rejected
+    }
+
+    /// Tracks that found no room since the start.
+    #[must_use]
+    pub const fn untaken_tracks(&self) -> u64 {
+        self.window.untaken()
+    }
+
+    /// Multiplies the map's lengths about the newest camera, where the camera's height over the road says that they are off.
+    pub fn rescale(&mut self, ratio: f64) {
+        if ratio.is_finite() && ratio > 0.0 {
+            self.multiply_lengths(ratio);
+            if self.scale.state == ScaleState::Held {
+                self.scale.state = ScaleState::CameraHeight;
+            }
+        }
+    }
+
+    /// Writes what the tracker should learn and starts a new count of rescaling.
+    pub fn update_into(&mut self, out: &mut MapUpdate) {
+        out.landmarks.clear();
+        out.rescale = core::mem::replace(&mut self.rescaled, 1.0);
+        let views = self.window.views();
+        let Some(newest) = views.last() else {
+            out.world_from_camera = Pose::identity();
+            out.world_from_camera_tracked = Pose::identity();
+            return;
+        };
+        out.stamp = newest.stamp;
+        out.world_from_camera_tracked = newest.tracked;
+        out.world_from_camera = newest.world_from_camera;
+        let alive = &views[views.len().saturating_sub(LIVE_VIEWS)..];
+        for landmark in &self.landmarks {
+            let seen = alive.iter().any(|v| v.sightings.binary_search_by_key(&landmark.track, |s| s.track).is_ok());
+            if seen {
+                // As large as the list it is filled from.
+                let _ = out.landmarks.push((landmark.track, landmark.point_in_world));
+            }
+        }
+    }
+
+    fn multiply_lengths(&mut self, ratio: f64) {
+        let centre = self.newest_pose().translation.vector;
+        for view in self.window.views_mut() {
+            let position = &mut view.world_from_camera.translation.vector;
+            *position = centre + (*position - centre) * ratio;
+            view.tracked_step.translation.vector *= ratio;
+        }
+        for point in &mut self.window.points {
+            point.point_in_world.coords = centre + (point.point_in_world.coords - centre) * ratio;
+            point.depth_sigma_m *= ratio as f32;
+        }
+        for landmark in &mut self.landmarks {
+            landmark.point_in_world.coords = centre + (landmark.point_in_world.coords - centre) * ratio;
+            landmark.depth_sigma_m *= ratio as f32;
+        }
+        self.rescaled *= ratio;
+    }
+
+    /// Where the tracked motion puts a new view, and that motion from the view before.
+    fn predicted(&self, view: &View) -> (Pose, Pose) {
+        let tracked = view.world_from_camera;
+        let Some(last) = self.window.views().last() else {
+            return (if is_finite(&tracked) { tracked } else { Pose::identity() }, Pose::identity());
+        };
+        let step = last.tracked.inv_mul(&tracked);
+        let step = if is_finite(&step) { step } else { Pose::identity() };
+        let mut pose = last.world_from_camera * step;
+        pose.rotation.renormalize();
+        (pose, step)
+    }
+
+    /// A tracker that took the last update in between moved to the map's poses; its step from the view before is then one from
+    /// the map's pose of that view. The landmarks tell which.
+    fn follow_update(&mut self, first_new: usize) {
+        let Some(last) = first_new.checked_sub(1) else { return };
+        let views = self.window.views();
+        let (last, first) = (&views[last], &views[first_new]);
+        let fit = |pose: &Pose| mismatch(first, &self.window.points, pose);
+        let moved = first.tracked;
+        if !matches!((fit(&moved), fit(&first.world_from_camera)), (Some(a), Some(b)) if a < b) {
+            return;
+        }
+        let step = last.world_from_camera.inv_mul(&moved);
+        self.window.views_mut()[first_new].tracked_step = step;
+        for j in first_new..self.window.views().len() {
+            let before = self.window.views()[j - 1].world_from_camera;
+            let view = &mut self.window.views_mut()[j];
+            view.world_from_camera = before * view.tracked_step;
+        }
+    }
+
+    /// Compares each new wheel step with what the landmarks say of it, and keeps it where it is believed.
+    fn judge_wheels(&mut self, first_new: usize) {
+        let mut before: Option<Resection> = None;
+        for j in first_new..self.window.views().len() {
+            let views = self.window.views();
+            let seen = resect(&views[j], &self.window.points, &self.start_of(j, before.as_ref()));
+            let visual = (j > 0).then(|| self.visual_step(j, before.as_ref(), seen.as_ref())).flatten();
+            before = seen;
+            let views = self.window.views();
+            let travels = if j > 0 { views[j - 1].travel.zip(views[j].travel) } else { None };
+            let Some((a, b)) = travels else {
+                if j > 0 && self.scale.state == ScaleState::Wheels {
+                    self.scale.state = ScaleState::Held;
+                }
+                continue;
+            };
+            let turn = 0.5 * (b.heading_rad - a.heading_rad);
+            let arc_to_chord = if turn.abs() < 1e-6 { 1.0 } else { turn.sin() / turn };
+            let chord_m = (b.distance_m - a.distance_m).abs() * arc_to_chord.abs();
+            match self.scale.judge(chord_m, visual) {
+                Verdict::Believe => self.window.views_mut()[j].wheel_step = Some(WheelStep { chord_m }),
+                Verdict::Reject => {}
+                Verdict::Relock(ratio) => {
+                    self.multiply_lengths(ratio);
+                    self.window.views_mut()[j].wheel_step = Some(WheelStep { chord_m });
+                    before = None;
+                }
+            }
+        }
+    }
+
+    /// Start of a view's resection: the tracked step from where the view before was seen.
+    fn start_of(&self, view: usize, before: Option<&Resection>) -> Pose {
+        let views = self.window.views();
+        before.map_or(views[view].world_from_camera, |b| b.world_from_camera * views[view].tracked_step)
+    }
+
+    fn visual_step(&self, view: usize, before: Option<&Resection>, seen: Option<&Resection>) -> Option<VisualStep> {
+        let seen = seen?;
+        let old = &self.window.views()[view - 1].world_from_camera;
+        let first = before.map_or(old, |b| &b.world_from_camera);
+        let along = (seen.world_from_camera.translation.vector - first.translation.vector).try_normalize(1e-3);
+        let variance = |r: &Resection| {
+            along.map_or(r.position_covariance.trace(), |u| (r.position_covariance * u).dot(&u)).max(0.0)
+        };
+        Some(VisualStep {
+            length_m: self.rig.step_m(first, &seen.world_from_camera),
+            sigma_m: (variance(seen) + before.map_or(0.0, variance)).sqrt(),
+        })
+    }
+
+    /// Poses of the new views: motion averaging over the batch, then the landmarks where there are enough of them.
+    fn place(&mut self, first_new: usize) {
+        let count = self.window.views().len();
+        let held = first_new.max(1);
+        if count <= held {
+            return;
+        }
+        let graph = self.view_graph(held);
+        let mut rotations: heapless::Vec<UnitQuaternion<f64>, WINDOW_VIEWS> =
+            self.window.views().iter().map(|v| v.world_from_camera.rotation).collect();
+        average_rotations(&graph.rotations, held, &mut rotations);
+        let positions = self.averaged_positions(&graph, held, &rotations);
+        for j in held..count {
+            let averaged = Pose::from_parts(Translation3::from(positions[j]), rotations[j]);
+            let view = &self.window.views()[j];
+            let chained = self.window.views()[j - 1].world_from_camera * view.tracked_step;
+            let start = self.better(j, averaged, chained);
+            let seen = resect(view, &self.window.points, &start);
+            let pose = seen.map_or(start, |r| self.better(j, r.world_from_camera, start));
+            if is_finite(&pose) {
+                let view = &mut self.window.views_mut()[j];
+                view.world_from_camera = pose;
+                view.world_from_camera.rotation.renormalize();
+            }
+        }
+    }
+
+    /// The first pose unless the landmarks fit the second clearly better.
+    fn better(&self, view: usize, first: Pose, second: Pose) -> Pose {
+        let view = &self.window.views()[view];
+        let fit = |pose: &Pose| mismatch(view, &self.window.points, pose);
+        match (fit(&first), fit(&second)) {
+            (Some(a), Some(b)) if b < a => second,
+            _ if is_finite(&first) => first,
+            _ => second,
+        }
+    }
+
+    /// Relative poses of each new view with the [`VIEW_GRAPH_SPAN`] before it.
+    fn view_graph(&mut self, held: usize) -> ViewGraph {
+        let mut graph = ViewGraph { rotations: heapless::Vec::new(), directions: heapless::Vec::new() };
+        let focal_px = self.camera.lens.focal_px();
+        for second in held..self.window.views().len() {
+            let mut tracked = Pose::identity();
+            for first in (second.saturating_sub(VIEW_GRAPH_SPAN)..second).rev() {
+                let views = self.window.views();
+                tracked = views[first + 1].tracked_step * tracked;
+                if first + 1 == second {
+                    let edge = RotationEdge { first, second, rotation: tracked.rotation, weight: TRACKED_WEIGHT };
+                    let _ = graph.rotations.push(edge);
+                }
+                self.collect_matches(first, second);
+                let Some(pair) = relative_pose(&self.matches, &tracked, focal_px, &mut self.random) else { continue };
+                let weight = pair.inliers as f64;
+                let _ = graph.rotations.push(RotationEdge { first, second, rotation: pair.rotation, weight });
+                if pair.has_parallax {
+                    let _ = graph.directions.push(DirectionEdge { first, second, direction: pair.direction, weight });
+                }
+            }
+        }
+        graph
+    }
+
+    fn collect_matches(&mut self, first: usize, second: usize) {
+        self.matches.clear();
+        let (a, b) = (&self.window.views()[first].sightings, &self.window.views()[second].sightings);
+        let mut k = 0;
+        for sighting in a {
+            while k < b.len() && b[k].track < sighting.track {
+                k += 1;
+            }
+            if k < b.len() && b[k].track == sighting.track {
+                self.matches.push(Match { first: sighting.bearing(), second: b[k].bearing() });
+            }
+        }
+    }
+
+    fn averaged_positions(
+        &self,
+        graph: &ViewGraph,
+        held: usize,
+        rotations: &[UnitQuaternion<f64>],
+    ) -> heapless::Vec<Vector3<f64>, WINDOW_VIEWS> {
+        let views = self.window.views();
+        let mut positions: heapless::Vec<Vector3<f64>, WINDOW_VIEWS> =
+            views.iter().map(|v| v.world_from_camera.translation.vector).collect();
+        let in_world: heapless::Vec<DirectionEdge, EDGES> = graph
+            .directions
+            .iter()
+            .map(|edge| DirectionEdge {
+                direction: rotations[edge.first] * edge.direction,
+                // The best pair counts one; the deviation is in radians already.
+                weight: edge.weight / MAX_TRACKS as f64,
+                ..*edge
+            })
+            .collect();
+        let mut steps: heapless::Vec<StepEdge, WINDOW_VIEWS> = heapless::Vec::new();
+        for second in held..views.len() {
+            let first = second - 1;
+            let offset = rotations[second] * self.rig.rear_in_camera - rotations[first] * self.rig.rear_in_camera;
+            let tracked_m = self.rig.step_m(&Pose::identity(), &views[second].tracked_step);
+            let (length_m, sigma_m) = views[second].wheel_step.map_or(
+                (tracked_m, TRACKED_STEP_SIGMA * tracked_m + 0.05),
+                |wheel| (wheel.chord_m, wheel_sigma_m(wheel.chord_m)),
+            );
+            let _ = steps.push(StepEdge { first, second, offset, length_m, sigma_m });
+        }
+        average_translations(&in_world, &steps, held, &mut positions);
+        positions
+    }
+
+    /// Leaves out sightings of known landmarks that are far off, before they pull at the adjustment.
+    fn gate_new_sightings(&mut self, first_new: usize) {
+        for v in first_new..self.window.views().len() {
+            let camera_from_world = self.window.views()[v].world_from_camera.inverse();
+            for s in 0..self.window.views()[v].sightings.len() {
+                let sighting = self.window.views()[v].sightings[s];
+                if sighting.point == NO_POINT {
+                    continue;
+                }
+                let point = &self.window.points[usize::from(sighting.point)];
+                let agrees = !point.located
+                    || sighting.error_px(&(camera_from_world * point.point_in_world)).is_some_and(|e| e < START_GATE_PX);
+                self.window.views_mut()[v].sightings[s].agrees = agrees;
+            }
+        }
+    }
+
+    /// Locates points that are not yet.
+    fn triangulate_new(&mut self) {
+        for p in 0..self.window.points.len() {
+            let point = self.window.points[p];
+            let entries = self.window.entries_of(p);
+            if point.located || point.strikes >= MAX_STRIKES || entries.len() < 2 {
+                continue;
+            }
+            if let Some(found) = triangulate(&self.window, entries) {
+                let point = &mut self.window.points[p];
+                point.located = true;
+                point.point_in_world = found.point_in_world;
+                point.depth_sigma_m = found.depth_sigma_m as f32;
+            }
+        }
+    }
+
+    /// Judges each sighting of a landmark anew; the landmark goes where too few agree.
+    fn cull(&mut self, p: usize) {
+        if !self.window.points[p].in_bundle
+            && let Some(found) = triangulate(&self.window, self.window.entries_of(p))
+        {
+            self.window.points[p].point_in_world = found.point_in_world;
+        }
+        let position: Point3<f64> = self.window.points[p].point_in_world;
+        let count = self.window.entries_of(p).len();
+        let mut agreeing = 0;
+        for k in 0..count {
+            let entry = self.window.entries_of(p)[k];
+            let pose = &self.window.views()[usize::from(entry.view)].world_from_camera;
+            let in_camera = pose.inverse_transform_point(&position);
+            let sighting = self.window.sighting_mut(entry);
+            sighting.agrees = sighting.error_px(&in_camera).is_some_and(|e| e < FINISH_GATE_PX);
+            agreeing += usize::from(sighting.agrees);
+        }
+        let sigma = landmark_depth_sigma(&self.window, p);
+        let point = &mut self.window.points[p];
+        point.depth_sigma_m = sigma.map_or(f32::INFINITY, |s| s as f32);
+        if agreeing < 2 || (agreeing as f64) < MIN_AGREEMENT * count as f64 {
+            point.located = false;
+            point.strikes = point.strikes.saturating_add(1);
+            // Another try later takes every sighting into account again.
+            for k in 0..count {
+                let entry = self.window.entries_of(p)[k];
+                self.window.sighting_mut(entry).agrees = true;
+            }
+        }
+    }
+
+    fn list_landmarks(&mut self) {
+        self.landmarks.clear();
+        for (p, point) in self.window.points.iter().enumerate() {
+            if !point.located || self.landmarks.len() == MAX_LANDMARKS {
+                continue;
+            }
+            let mut views = 0;
+            let mut latest = None;
+            for &entry in self.window.entries_of(p) {
+                if self.window.sighting(entry).agrees {
+                    views += 1;
+                    latest = Some(&self.window.views()[usize::from(entry.view)].world_from_camera);
+                }
+            }
+            let Some(latest) = latest else { continue };
+            let depth = (point.point_in_world.coords - latest.translation.vector).norm();
+            if views >= 3 && f64::from(point.depth_sigma_m) * MIN_DEPTH_CERTAINTY < depth {
+                self.landmarks.push(Landmark {
+                    track: point.track,
+                    point_in_world: point.point_in_world,
+                    depth_sigma_m: point.depth_sigma_m,
+                    views,
+                });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::super::street::{Street, WheelFault, map};
+    use super::*;
+    use nalgebra::Vector2;
+    use proptest::prelude::*;
+
+    use super::super::Observation;
+    use crate::space::Micros;
+    use crate::track::{TrackId, Travel};
+
+    /// Length of the found path over the true one, and the final error in position over the distance.
+    fn scale_and_drift(street: &Street, found: &[Pose]) -> (f64, f64) {
+        let truth = |key: usize| street.world_from_camera(4 * key + 3).translation.vector;
+        let (mut along, mut true_along) = (0.0, 0.0);
+        for key in 1..found.len() {
+            along += (found[key].translation.vector - found[key - 1].translation.vector).norm();
+            true_along += (truth(key) - truth(key - 1)).norm();
+        }
+        let last = found.len() - 1;
+        (along / true_along, (found[last].translation.vector - truth(last)).norm() / true_along)
+    }
+
+    #[test]
+    fn street_is_metric_and_does_not_drift() {
+        let mut street = Street::new(5, 88);
+        let mut map = map();
+        let found = street.drive(&mut map, 88);
+        let (scale, drift) = scale_and_drift(&street, &found);
+        assert!((scale - 1.0).abs() < 0.005, "scale {scale}");
+        assert!(drift < 0.005, "drift {drift}");
+        assert_eq!(map.scale_state(), ScaleState::Wheels);
+        assert_eq!(map.rejected_wheel_steps(), 0);
+        assert!(map.landmarks().len() > 300, "{}", map.landmarks().len());
+    }
+
+    #[test]
+    fn slip_is_noticed_and_the_scale_held() {
+        for ratio in [1.3, 0.0] {
+            let mut street = Street::new(6, 72);
+            street.fault = Some(WheelFault { from: 32, until: 40, ratio });
+            let mut map = map();
+            let found = street.drive(&mut map, 72);
+            let (scale, _) = scale_and_drift(&street, &found);
+            assert!((scale - 1.0).abs() < 0.01, "ratio {ratio}: scale {scale}");
+            assert!((8..=9).contains(&map.rejected_wheel_steps()), "ratio {ratio}: {}", map.rejected_wheel_steps());
+            assert_eq!(map.scale_state(), ScaleState::Wheels);
+        }
+    }
+
+    #[test]
+    fn stuck_encoder_leaves_the_scale_held() {
+        let mut street = Street::new(7, 72);
+        street.fault = Some(WheelFault { from: 32, until: 72, ratio: 0.0 });
+        let mut map = map();
+        let found = street.drive(&mut map, 72);
+        assert_eq!(map.scale_state(), ScaleState::Held);
+        let (scale, _) = scale_and_drift(&street, &found);
+        assert!((scale - 1.0).abs() < 0.03, "scale {scale}");
+    }
+
+    #[test]
+    fn without_wheels_the_scale_is_the_caller_s() {
+        let mut street = Street::new(8, 24);
+        street.has_wheels = false;
+        let mut map = map();
+        street.drive(&mut map, 24);
+        assert_eq!(map.scale_state(), ScaleState::Held);
+        let (before, count) = (map.newest_pose(), map.landmarks().len());
+        let far = (map.landmarks()[0].point_in_world.coords - before.translation.vector).norm();
+        map.rescale(1.1);
+        assert_eq!(map.scale_state(), ScaleState::CameraHeight);
+        assert!((map.newest_pose().translation.vector - before.translation.vector).norm() < 1e-12);
+        let now = (map.landmarks()[0].point_in_world.coords - before.translation.vector).norm();
+        assert!((now / far - 1.1).abs() < 1e-9 && map.landmarks().len() == count);
+        let mut update = alloc::boxed::Box::<MapUpdate>::default();
+        map.update_into(&mut update);
+        assert!((update.rescale - 1.1).abs() < 1e-12 && !update.landmarks.is_empty());
+        map.update_into(&mut update);
+        assert!((update.rescale - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn same_input_gives_the_same_map() {
+        let drive = || {
+            let mut map = map();
+            let found = Street::new(9, 24).drive(&mut map, 24);
+            (found, map.landmarks().to_vec())
+        };
+        assert_eq!(drive(), drive());
+    }
+
+    #[test]
+    fn empty_batch_changes_nothing() {
+        let mut map = map();
+        Street::new(9, 24).drive(&mut map, 24);
+        let before = map.newest_pose();
+        map.insert(&ViewBatch::new());
+        assert_eq!(map.newest_pose(), before);
+    }
+
+    fn any_number() -> impl Strategy<Value = f64> {
+        prop_oneof![8 => -2000.0..2000.0f64, 1 => Just(f64::NAN), 1 => Just(f64::INFINITY), 1 => Just(1e300)]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn garbage_never_panics(
+            views in prop::collection::vec((
+                prop::collection::vec((0u32..200, any_number(), any_number()), 0..150),
+                prop::array::uniform6(any_number()),
+                prop::option::of((any_number(), any_number())),
+            ), 1..20),
+            ratio in any_number(),
+        ) {
+            let mut map = map();
+            let mut batch = ViewBatch::new();
+            for (k, (observations, pose, travel)) in views.iter().enumerate() {
+                let mut view = View { stamp: Micros(k as u64), ..View::default() };
+                view.world_from_camera = Pose::new(Vector3::new(pose[0], pose[1], pose[2]), Vector3::new(pose[3], pose[4], pose[5]));
+                view.travel = travel.map(|(distance_m, heading_rad)| Travel { distance_m, heading_rad });
+                for &(track, x, y) in observations {
+                    view.observations.push(Observation { track: TrackId(track), pixel: Vector2::new(x as f32, y as f32) }).unwrap();
+                }
+                batch.push(view).unwrap();
+                if batch.len() == BATCH_VIEWS || k % 3 == 0 {
+                    map.insert(&batch);
+                    batch.clear();
+                    while map.refine() {}
+                    map.finish();
+                    prop_assert!(is_finite(&map.newest_pose()));
+                }
+            }
+            map.rescale(ratio);
+            prop_assert!(is_finite(&map.newest_pose()));
+        }
+    }
+}
