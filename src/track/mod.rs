@@ -1,7 +1,19 @@
 //! Stage 2, track: keypoints from frame to frame, and the pose of each frame.
+//!
+//! In: luma pyramids and wheel travel. Out: a pose a frame and, where the map asks, a view of observations. Corners are
+//! bucketed, followed by pyramidal Lucas-Kanade from a predicted place, and checked there and back; the pose is solved from
+//! landmarks, epipolar geometry and the wheels together. Without a map it is visual odometry of metric scale.
 
+mod corners;
+mod keypoint;
+mod klt;
+mod pose;
+mod predict;
+mod rolling;
+mod tracker;
 mod wheels;
 
+pub use tracker::{FrameEstimate, TrackConfig, Tracker, TrackingState};
 pub use wheels::{Travel, WheelConfig, WheelOdometer, WheelReading};
 
 /// Identity of a keypoint track, never used twice.
