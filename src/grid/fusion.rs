@@ -1,7 +1,7 @@
 //! Log-odds of the cells over time.
 //!
 //! In: a key frame's evidence, the motion since the last one. Out: fused log-odds, reasons and ages.
-//! Invariant: an unseen cell's log-odds only ever move towards zero. Cost: one nearest look-up a cell, in row order.
+//! Invariant: an unseen cell's log-odds only ever move towards zero; a hidden cell is not free. Cost: one nearest look-up a cell, in row order.
 
 #![allow(
     clippy::cast_possible_truncation,
@@ -108,9 +108,10 @@ impl Fusion {
         for (index, cell) in self.cells.iter_mut().enumerate() {
             let (evidence, sight) = view.map_or((0.0, Sight::Outside), |(e, s)| (e[index], s[index]));
             cell.age_s += seconds;
-            // What the car covers cannot change unseen; what is hidden or out of sight can.
+            // What the car covers cannot change unseen; what is out of sight can. Hidden is unknown, never free.
             cell.log_odds *= match sight {
                 Sight::Covered => covered,
+                Sight::Hidden if cell.log_odds < 0.0 => 0.0,
                 _ if cell.log_odds < 0.0 => free,
                 _ => occupied,
             };

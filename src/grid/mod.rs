@@ -59,11 +59,11 @@ pub struct GridConfig {
     pub limit: f32,
     /// Log-odds nearer to zero than this are unknown.
     pub unknown_below: f32,
-    /// Half-life of what was free and is out of sight or hidden now.
+    /// Half-life of what was free and is out of sight now; what is hidden is unknown at once.
     pub free_half_life_s: f32,
     /// Half-life of what was occupied and is out of sight now.
     pub occupied_half_life_s: f32,
-    /// Half-life of free cells ahead of the sensor's near edge, where the car itself covers them.
+    /// Half-life of cells under the lower image edge, where the car itself is about to drive.
     pub covered_half_life_s: f32,
     /// Older cells are unknown whatever they were.
     pub max_age_s: f32,

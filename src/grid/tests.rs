@@ -1,4 +1,9 @@
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::cast_sign_loss,
+    clippy::cast_possible_truncation,
+    reason = "tests"
+)]
 
 use alloc::vec;
 use alloc::vec::Vec;
@@ -124,7 +129,7 @@ fn unseen_is_never_free() {
 }
 
 #[test]
-fn pavement_is_occupied_and_far_behind_the_edge_unknown() {
+fn pavement_is_occupied() {
     let camera = camera(0.0);
     let stage = stage_with(&camera, straight_road);
     let grid = stage.grid();
@@ -136,17 +141,21 @@ fn pavement_is_occupied_and_far_behind_the_edge_unknown() {
     assert!(at(12.0, -4.2) > 65);
 }
 
+/// Every ray that would meet the ground behind 15 m within a lane ends at a box.
+fn blocked_lane(x: f64, y: f64) -> (u8, Surface) {
+    if x > 15.0 && y.abs() < 1.5 {
+        (0, Surface::Box)
+    } else {
+        straight_road(x, y)
+    }
+}
+
 #[test]
-fn behind_a_box_is_unknown() {
+fn behind_a_box_is_unknown_even_where_it_was_free() {
     let camera = camera(0.0);
-    // Every ray that would meet the ground behind 15 m within a lane ends at a box.
-    let stage = stage_with(&camera, |x, y| {
-        if x > 15.0 && y.abs() < 1.5 {
-            (0, Surface::Box)
-        } else {
-            straight_road(x, y)
-        }
-    });
+    let mut stage = stage_with(&camera, straight_road);
+    look(&mut stage, &camera, straight_road, &Pose::identity(), 1_500_000);
+    look(&mut stage, &camera, blocked_lane, &Pose::identity(), 2_000_000);
     let grid = stage.grid();
     let (row, column) = grid.cell_at(15.1, 0.1).unwrap();
     assert!(grid.occupancy[row * grid.columns + column] > 65);
@@ -155,6 +164,20 @@ fn behind_a_box_is_unknown() {
     assert_eq!(grid.occupancy[row * grid.columns + column], -1);
     let ahead = stage.boundary().free_m[crate::budget::SECTORS / 2];
     assert!((14.0..=15.2).contains(&ahead), "{ahead}");
+}
+
+#[test]
+fn ground_under_the_bonnet_keeps_what_was_seen_before() {
+    let camera = camera(0.0);
+    let mut stage = stage_with(&camera, straight_road);
+    look(&mut stage, &camera, straight_road, &driven(7.0, 0.0), 1_500_000);
+    // Three metres ahead of the rear axle: below the image, seen from 7 m back.
+    let (row, column) = stage.grid().cell_at(3.1, 0.1).unwrap();
+    assert!(stage.grid().is_free(row, column));
+    assert_eq!(
+        stage.grid().reason[row * stage.grid().columns + column],
+        Reason::Previous as u8
+    );
 }
 
 #[test]

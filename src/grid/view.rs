@@ -65,6 +65,8 @@ pub(super) struct CellView {
 
 const NO_PIXEL: u32 = u32::MAX;
 const COVERED_PIXEL: u32 = u32::MAX - 1;
+/// Half the width of a wide car.
+const COVERED_HALF_M: f32 = 1.2;
 
 impl CellView {
     pub(super) fn new(camera: &Camera, config: GridConfig, width: usize, height: usize, grid: &Grid) -> Self {
@@ -125,7 +127,10 @@ impl CellView {
                     f64::from(x) - self.mount_ahead_m,
                     f64::from(y) - self.mount_left_m,
                 );
-                self.pixel[row * grid.columns + column] = self.pixel_of(&point.coords);
+                let pixel = self.pixel_of(&point.coords);
+                // Beside the car others move: only what it drives over itself counts as covered.
+                let beside = pixel == COVERED_PIXEL && y.abs() > COVERED_HALF_M;
+                self.pixel[row * grid.columns + column] = if beside { NO_PIXEL } else { pixel };
             }
         }
     }
@@ -182,7 +187,8 @@ impl CellView {
             // Metres of road in one image row: far cells share their row with many others.
             let row_span_m = range_m * range_m / (focal_px * height_m);
             let near = 1.0 / (1.0 + (row_span_m / self.config.row_span_m).powi(2));
-            let certainty = |p: f32| (2.0 * p - 1.0).max(0.3) * near;
+            // The label is the energy's verdict; a network that doubts it weakens it to a half at most.
+            let certainty = |p: f32| (2.0 * p - 1.0).max(0.5) * near;
             if surface[pixel] == Surface::Box as u8 {
                 // The ray ends at the box: the first such cell is its foot, give or take a cell's diagonal.
                 let foot_m = *box_foot_m.get_or_insert(range_m);

@@ -188,7 +188,7 @@ impl BeliefRaster {
         }
         let (row, column) = (row as usize, column as usize);
         let fall = |cells: usize, reach_m: f32| {
-            let u = cells as f32 * c.cell_m / reach_m;
+            let u = cells as f32 * c.cell_m / reach_m.max(0.05);
             (-0.5 * u * u).exp()
         };
         let mut across = [0.0; 2 * KERNEL_LEFT + 1];

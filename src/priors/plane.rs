@@ -245,7 +245,7 @@ fn vote(
     config: &PlaneConfig,
     scratch: &mut PlaneScratch,
 ) -> Option<Slopes> {
-    let bin_m = 2.0 * config.distance_range_m / HOUGH_DISTANCES as f64;
+    let bin_m = (2.0 * config.distance_range_m / HOUGH_DISTANCES as f64).max(1e-4);
     let step = 2.0 * config.pitch_range_rad / (HOUGH_ANGLES - 1) as f64;
     let slope_of = |angle: usize| search.expected[1] - config.pitch_range_rad + angle as f64 * step;
     let nearest_m = search.expected[0] - config.distance_range_m;
@@ -299,8 +299,8 @@ fn vote(
 /// The road is the lowest dense plane: a peak `nearest..=farthest` bins below the best one wins if it is nearly as strong.
 fn lowest_peak(votes: &[f32], best: usize, nearest: usize, farthest: usize) -> usize {
     let mut lowest = best;
-    let last = (best + farthest).min(votes.len().saturating_sub(3));
-    for bin in best + nearest.max(1)..=last {
+    let last = best.saturating_add(farthest).min(votes.len().saturating_sub(3));
+    for bin in best.saturating_add(nearest.max(2))..=last {
         let around = &votes[bin - 2..=(bin + 2).min(votes.len() - 1)];
         let is_peak = around.iter().all(|&v| v <= votes[bin]);
         // A shoulder of the best peak is no peak: votes must have fallen in between.

@@ -353,7 +353,7 @@ mod tests {
                 if surface[index] != truth as u8 {
                     // Rounding may move an edge by a hair: some ray next to this one must see it the other way.
                     let seen = (0..16).any(|turn| {
-                        let (sin, cos) = (f64::from(turn) * 0.3927).sin_cos();
+                        let (sin, cos) = (f64::from(turn) * core::f64::consts::FRAC_PI_8).sin_cos();
                         let near = (ray + Vector3::new(cos, sin, 0.3 * cos - 0.2 * sin) * 2e-5).normalize();
                         first_surface(&plane, &boxes, &near) as u8 == surface[index]
                     });

@@ -102,6 +102,7 @@ pub struct PriorsStage {
     current_view: View,
     previous_view: View,
     past: Option<Past>,
+    plane_in_camera: Plane,
     curvature_per_m: f64,
 }
 
@@ -134,6 +135,7 @@ impl PriorsStage {
             current_view: View::new(pixels),
             previous_view: View::new(pixels),
             past: None,
+            plane_in_camera: camera.mount.plane_in_camera(),
             curvature_per_m: 0.0,
         }
     }
@@ -154,6 +156,7 @@ impl PriorsStage {
             self.filter.update(fit);
         }
         let plane = self.filter.plane();
+        self.plane_in_camera = plane;
         let ground = Ground::new(&plane, &self.forward);
         let mut boxes = heapless::Vec::<ObstacleBox, MAX_BOXES>::new();
         self.builder.build(&self.points[..count], &ground, &mut boxes);
@@ -194,6 +197,32 @@ impl PriorsStage {
         &self.priors
     }
 
+    /// Without a fresh map: the last plane, boxes and belief as seen from a new pose, the plane marked as held.
+    pub fn hold(&mut self, world_from_camera: &Pose, stamp: Micros) -> &Priors {
+        if self.past.is_none() {
+            return self.step(&[], world_from_camera, stamp);
+        }
+        core::mem::swap(&mut self.priors, &mut self.previous);
+        core::mem::swap(&mut self.raster, &mut self.raster_previous);
+        self.look_back(world_from_camera, self.filter.variance()[1].sqrt());
+        core::mem::swap(&mut self.priors, &mut self.previous);
+        core::mem::swap(&mut self.raster, &mut self.raster_previous);
+        self.current_view
+            .indicator
+            .copy_from_slice(&self.previous_view.indicator);
+        self.current_view
+            .surface
+            .copy_from_slice(&self.previous_view.surface);
+        self.current_view
+            .belief
+            .copy_from_slice(&self.previous_view.belief);
+        if let Some(estimate) = &mut self.priors.plane {
+            estimate.inliers = 0;
+            self.plane_in_camera = estimate.plane.moved(&world_from_camera.inverse());
+        }
+        &self.priors
+    }
+
     /// The map's metric scale from the camera height, for a car without encoders. Does not change the stage's state.
     pub fn measure_scale(
         &mut self,
@@ -218,8 +247,8 @@ impl PriorsStage {
 
     /// The latest plane in the key frame's camera space; the mount's before the first step.
     #[must_use]
-    pub fn plane_in_camera(&self) -> Plane {
-        self.filter.plane()
+    pub const fn plane_in_camera(&self) -> Plane {
+        self.plane_in_camera
     }
 
     /// `I(p)` of the latest key frame, `[H, W]`, 1 = road plane first.

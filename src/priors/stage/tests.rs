@@ -1,4 +1,9 @@
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::cast_sign_loss,
+    clippy::cast_possible_truncation,
+    reason = "tests"
+)]
 
 use alloc::vec::Vec;
 
@@ -123,6 +128,25 @@ fn without_landmarks_the_mounts_plane_is_held() {
         stage.indicator()[pixel(Point3::new(15.0, 0.0, 0.0), &pose(0.0))],
         1
     );
+}
+
+#[test]
+fn without_a_fresh_map_the_last_priors_are_seen_from_the_new_pose() {
+    let mut stage = PriorsStage::new(&camera(), PriorsConfig::default(), WIDTH, HEIGHT);
+    stage.step(&street(), &pose(0.0), Micros(0));
+    let boxes = stage.priors().boxes.clone();
+    for key_frame in 1..4u32 {
+        let here = pose(4.0 * f64::from(key_frame));
+        let held = stage.hold(&here, Micros(500_000 * u64::from(key_frame)));
+        assert_eq!(
+            (held.boxes.clone(), held.plane.unwrap().inliers),
+            (boxes.clone(), 0)
+        );
+        let (car, lane) = (Point3::new(30.0, -1.9, 0.8), Point3::new(24.0, 1.0, 0.0));
+        assert_eq!(stage.surface()[pixel(car, &here)], Surface::Box as u8);
+        assert!(stage.belief()[pixel(lane, &here)] > 0.7);
+        assert!((stage.plane_in_camera().offset_m - 1.65).abs() < 0.05);
+    }
 }
 
 #[test]
