@@ -47,11 +47,13 @@ impl NetworkShape {
     }
 
     /// The input as the engines state it.
+    #[cfg(any(feature = "onnx", feature = "rten"))]
     const fn input_dims(&self) -> [usize; 4] {
         [1, 3, self.input_height, self.input_width]
     }
 
     /// The output as the engines state it.
+    #[cfg(any(feature = "onnx", feature = "rten"))]
     const fn output_dims(&self) -> [usize; 4] {
         [1, self.classes, self.output_height, self.output_width]
     }
