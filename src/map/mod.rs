@@ -19,7 +19,6 @@ mod two_view;
 mod window;
 
 pub use robust_slam::{Map, MapConfig};
-pub use scale::ScaleState;
 
 use nalgebra::{Point3, Vector2};
 
@@ -78,4 +77,26 @@ pub struct MapUpdate {
     pub rescale: f64,
     /// Landmarks whose tracks may still be alive, ordered by track.
     pub landmarks: heapless::Vec<(TrackId, Point3<f64>), MAX_LANDMARKS>,
+}
+
+impl MapUpdate {
+    /// Takes over another update, in place.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.stamp = other.stamp;
+        self.world_from_camera_tracked = other.world_from_camera_tracked;
+        self.world_from_camera = other.world_from_camera;
+        self.rescale = other.rescale;
+        self.landmarks.clear();
+        // Same capacity on both sides.
+        let _ = self.landmarks.extend_from_slice(&other.landmarks);
+    }
+
+    /// A tracked pose, moved as the map moved its newest view; `world_from_view` is that view's pose in the tracker's present
+    /// chain, which earlier updates have corrected since the view was taken.
+    #[must_use]
+    pub fn moved(&self, world_from_view: &Pose, world_from_camera: &Pose) -> Pose {
+        let mut since = world_from_view.inv_mul(world_from_camera);
+        since.translation.vector *= self.rescale;
+        self.world_from_camera * since
+    }
 }

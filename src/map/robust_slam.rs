@@ -17,7 +17,7 @@ use super::bundle::{Bundle, landmark_depth_sigma};
 use super::motion_factor::{Rig, wheel_sigma_m};
 use super::resection::{Resection, mismatch, resect};
 use super::rotation_averaging::{RotationEdge, average_rotations};
-use super::scale::{ScaleMonitor, ScaleState, Verdict, VisualStep};
+use super::scale::{ScaleMonitor, Verdict, VisualStep};
 use super::translation_averaging::{DirectionEdge, StepEdge, average_translations};
 use super::triangulate::triangulate;
 use super::two_view::{Match, Pcg, relative_pose};
@@ -25,6 +25,7 @@ use super::window::{MAX_STRIKES, NO_POINT, WheelStep, Window, is_finite};
 use super::{Landmark, MapUpdate, View, ViewBatch};
 use crate::budget::{BASE_ITERATIONS, BATCH_VIEWS, MAX_LANDMARKS, MAX_TRACKS, VIEW_GRAPH_SPAN, WINDOW_VIEWS};
 use crate::frame::Camera;
+use crate::health::ScaleState;
 use crate::space::Pose;
 
 /// A sighting this far from its landmark is left out before bundle adjustment, and after it.
@@ -111,7 +112,7 @@ impl Map {
         self.held = match self.scale.state {
             ScaleState::Wheels => 1,
             // The older half of what was known carries the scale on.
-            ScaleState::CameraHeight | ScaleState::Held => (first_new / 2).max(1),
+            ScaleState::Unknown | ScaleState::CameraHeight | ScaleState::Held => (first_new / 2).max(1),
         };
         self.bundle.restart(&mut self.window);
         for _ in 0..BASE_ITERATIONS {

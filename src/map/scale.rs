@@ -8,6 +8,8 @@
 #[allow(unused_imports, reason = "float methods come from std where that feature is on")]
 use num_traits::Float as _;
 
+use crate::health::ScaleState;
+
 /// Disagreement that is noticed: a share of the step, some centimetres, and what the picture itself may err.
 const TOLERANCE: f64 = 0.06;
 const TOLERANCE_M: f64 = 0.03;
@@ -22,18 +24,6 @@ const RELOCK_SPREAD: f64 = 0.04;
 const RELOCK_RATIO: core::ops::Range<f64> = 0.4..2.5;
 /// Share of a new ratio in the running mean.
 const SMOOTHING: f64 = 0.05;
-
-/// Where the map's lengths come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ScaleState {
-    /// The wheel distance of the newest views is a factor of the map.
-    Wheels,
-    /// No wheels: the caller rescales by the camera's height over the road.
-    CameraHeight,
-    /// The landmarks carry it on from earlier: wheels missing, slipping or stuck.
-    #[default]
-    Held,
-}
 
 /// What the landmarks say of a step.
 #[derive(Clone, Copy, Debug)]

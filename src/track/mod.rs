@@ -13,7 +13,7 @@ mod rolling;
 mod tracker;
 mod wheels;
 
-pub use tracker::{FrameEstimate, TrackConfig, Tracker, TrackingState};
+pub use tracker::{FrameEstimate, TrackConfig, Tracker};
 pub use wheels::{Travel, WheelConfig, WheelOdometer, WheelReading};
 
 /// Identity of a keypoint track, never used twice.

@@ -34,6 +34,7 @@ use super::predict::Predictor;
 use super::rolling::Rolling;
 use super::{TrackId, Travel};
 use crate::budget::{MAX_TRACKS, RECENT_POSES};
+use crate::health::TrackingState;
 use crate::frame::{Camera, Pyramid};
 use crate::map::{MapUpdate, Observation, View};
 use crate::space::{Micros, Plane, Pose};
@@ -88,19 +89,6 @@ impl Default for TrackConfig {
     }
 }
 
-/// How a frame's pose came about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TrackingState {
-    /// Many tracks agree.
-    Good,
-    /// Few tracks agree: usable, less certain.
-    Weak,
-    /// Only the wheels, or the last speed, and the last turn rate.
-    DeadReckoning,
-    /// The car stands: the pose is held.
-    Standstill,
-}
-
 /// What the stage says of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameEstimate {
@@ -145,8 +133,8 @@ pub struct Tracker {
     travel: Option<Travel>,
     state: TrackingState,
     inliers: usize,
-    /// Pose and number of observations of the last view.
-    viewed: Option<(Pose, usize)>,
+    /// Stamp, pose and number of observations of the last view.
+    viewed: Option<(Micros, Pose, usize)>,
     wants_view: bool,
     previous_rays: Box<[Vector3<f64>]>,
     sightings: Vec<Sighting>,
@@ -264,7 +252,10 @@ impl Tracker {
             .iter()
             .rev()
             .find(|p| p.stamp == update.stamp)
-            .map_or(update.world_from_camera_tracked, |p| p.world_from_camera);
+            .map(|p| p.world_from_camera)
+            // The last view may be older than the row, when the car stands.
+            .or_else(|| self.viewed.filter(|viewed| viewed.0 == update.stamp).map(|viewed| viewed.1))
+            .unwrap_or(update.world_from_camera_tracked);
         let correct = |pose: &Pose| {
             let mut since = tracked.inv_mul(pose);
             since.translation.vector *= update.rescale;
@@ -273,7 +264,7 @@ impl Tracker {
         for past in self.past.iter_mut() {
             past.world_from_camera = correct(&past.world_from_camera);
         }
-        if let Some((pose, _)) = &mut self.viewed {
+        if let Some((_, pose, _)) = &mut self.viewed {
             *pose = correct(pose);
         }
         if self.travel.is_none() {
@@ -310,8 +301,14 @@ impl Tracker {
                 });
             }
         }
-        self.viewed = Some((out.world_from_camera, out.observations.len()));
+        self.viewed = Some((out.stamp, out.world_from_camera, out.observations.len()));
         self.wants_view = false;
+    }
+
+    /// Pose of the last view, as later updates have corrected it.
+    #[must_use]
+    pub fn world_from_view(&self) -> Option<Pose> {
+        self.viewed.map(|viewed| viewed.1)
     }
 
     /// Whether the newest frame differs enough from the last view to be one.
@@ -578,7 +575,7 @@ impl Tracker {
             self.wants_view = false;
             return;
         }
-        let Some((view, observed)) = self.viewed else {
+        let Some((_, view, observed)) = self.viewed else {
             self.wants_view = self.tracks.iter().any(|t| t.age >= 1);
             return;
         };
