@@ -64,7 +64,7 @@ pub const SECTORS: usize = 32;
 pub const MAX_CELLS: usize = 240_000;
 
 /// Classes a network may know.
-pub const MAX_CLASSES: usize = 32;
+pub const MAX_CLASSES: usize = 128;
 /// Concentric spheres of the colour-line model.
 pub const COLOUR_SLICES: usize = 32;
 /// Network runs a key frame at most, side by side across the image.

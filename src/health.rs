@@ -27,6 +27,19 @@ pub enum QualityLevel {
 }
 
 impl QualityLevel {
+    /// The level's one name, in reports and records.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Full => "full",
+            Self::NoRefinement => "no_refinement",
+            Self::NoFreshNetwork => "no_fresh_network",
+            Self::NoFreshMap => "no_fresh_map",
+            Self::Moved => "moved",
+            Self::Invalid => "invalid",
+        }
+    }
+
     /// The level of a number on the wire.
     #[must_use]
     pub const fn from_wire(number: u8) -> Option<Self> {

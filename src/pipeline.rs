@@ -55,8 +55,8 @@ pub struct PipelineConfig {
 pub enum Cadence {
     /// The first frame at or after each multiple of this time, whatever the frame rate.
     Micros(u64),
-    /// Every n-th frame, by its index.
-    Frames(u64),
+    /// Only frames for which the caller wants it.
+    OnDemand,
 }
 
 /// The stages, in their order; the name is the same in modules, timing columns and config tables.

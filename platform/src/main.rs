@@ -4,12 +4,16 @@ use std::process::ExitCode;
 
 use clap::Parser as _;
 use freespace_platform::cli::{self, Cli, Command};
+use freespace_platform::runtime::allocation::CountingAllocator;
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Eval(command) => cli::run_eval(&command),
-        Command::Replay(args) => cli::open_inputs(&args).map(drop),
-        Command::Demo(_) => Ok(()),
+        Command::Replay(args) => cli::run_replay(&args),
+        Command::Demo(args) => cli::run_demo(&args),
     };
     cli::finish(result)
 }

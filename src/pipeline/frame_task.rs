@@ -198,7 +198,7 @@ impl FrameTask {
 
     fn is_due(&mut self, stamp: Micros) -> bool {
         match self.cadence {
-            Cadence::Frames(n) => self.frames.is_multiple_of(n.max(1)),
+            Cadence::OnDemand => false,
             Cadence::Micros(period) => {
                 let due = *self.next_key_frame.get_or_insert(stamp);
                 if stamp < due {

@@ -64,6 +64,18 @@ impl NetworkShape {
     pub fn is_road(&self, class: usize) -> bool {
         self.road.contains(&class)
     }
+
+    /// Values of an input, `3 * H * W`.
+    #[must_use]
+    pub const fn input_len(&self) -> usize {
+        3 * self.height * self.width
+    }
+
+    /// Values of an output, `C * h * w`.
+    #[must_use]
+    pub const fn output_len(&self) -> usize {
+        self.classes * self.out_height * self.out_width
+    }
 }
 
 /// What the energy needs of a network's softmax, `[height, width] f32` at the CRF resolution.

@@ -49,6 +49,18 @@ impl SimFrames {
             next: 0,
         }
     }
+
+    /// Frames of the whole drive.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        usize::try_from(self.frames).unwrap_or(usize::MAX)
+    }
+
+    /// Whether the drive ends before its first frame.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.frames == 0
+    }
 }
 
 /// Seconds of the world at a stamp.

@@ -3,11 +3,15 @@
 //! Exit codes: 0 done, 1 internal failure, 2 bad input (file, line or field, and fix are printed to standard error).
 
 mod args;
+mod demo;
+mod drive;
 mod eval;
 mod failure;
 mod replay;
+mod table;
 
 pub use args::{Ablation, Cli, Command, DemoArgs, EvalCommand, Pace, ReplayArgs, TruthArgs};
+pub use demo::run as run_demo;
 pub use eval::run as run_eval;
 pub use failure::{Failure, finish};
-pub use replay::{ReplayInputs, open_inputs};
+pub use replay::{ReplayInputs, open_inputs, run as run_replay};

@@ -1,12 +1,22 @@
-//! What `freespace replay` reads and checks before it writes anything.
+//! `freespace replay`: a recording through the pipeline. Everything is read and checked before anything is written.
 
+use std::collections::BTreeMap;
+
+use freespace::crf;
 use freespace::frame::Camera;
+use freespace::pipeline::Cadence;
+use freespace::port::WheelPort;
+use freespace::track::WheelConfig;
 
-use super::{Failure, ReplayArgs};
+use super::drive::{self, Progress, Recorder};
+use super::{Ablation, Failure, ReplayArgs, table};
 use crate::bad_input::BadInput;
-use crate::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera};
+use crate::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera, ReplayFrames};
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
+use crate::runtime::{Devices, Setup};
+use crate::sink::recording::{Recording, RunTitle};
+use crate::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
 
 /// The checked inputs of a replay; network and CAN log are checked by their own readers.
 #[derive(Debug)]
@@ -56,4 +66,58 @@ pub fn open_inputs(args: &ReplayArgs) -> Result<ReplayInputs, Failure> {
         key_frames,
         reference,
     })
+}
+
+/// Wheel readings and what the odometer must know of them.
+type WheelInputs = (Box<dyn WheelPort + Send>, WheelConfig);
+
+/// Reads the CAN log; none where none is given.
+fn open_wheels(args: &ReplayArgs, config: &Config) -> Result<Option<WheelInputs>, Failure> {
+    let (Some(log), Wheels::Can(wheels)) = (&args.can, config.wheels()) else {
+        return Ok(None);
+    };
+    let decoder = WheelDecoder::open(&wheels.dbc, &wheels.mapping()).map_err(Failure::bad_input)?;
+    let options = CandumpOptions { interface: None, offset_micros: wheels.offset_micros() };
+    let readings = CandumpWheels::open(log, &decoder, &options).map_err(Failure::bad_input)?;
+    Ok(Some((Box::new(readings), wheels.odometer)))
+}
+
+/// Replays a recording.
+///
+/// # Errors
+/// Bad input, before anything is written; or a folder that cannot be written to.
+pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
+    drive::check_apart(&args.source, &args.out)?;
+    let ReplayInputs { mut config, frames, camera, key_frames, reference } = open_inputs(args)?;
+    let (wheels, odometer) = open_wheels(args, &config)?.unzip();
+    let segmenter = drive::open_network(&config)?;
+    config.crf.ablation = match args.ablate {
+        None => crf::Ablation::Joint,
+        Some(Ablation::Only2d) => crf::Ablation::TwoD,
+        Some(Ablation::Only3d) => crf::Ablation::ThreeD,
+    };
+    let pipeline = drive::pipeline_config(&config, camera, odometer, Cadence::OnDemand);
+    let title = RunTitle {
+        title: format!("freespace replay {}", args.source.display()),
+        deadline_ms: config.deadline.publish_ms,
+    };
+    let recording = Recording::create(&args.out, title)?;
+    let engine = segmenter.name().to_owned();
+    let names: BTreeMap<u64, String> =
+        frames.listing().map(|(index, name, _)| (index as u64, name.to_owned())).collect();
+    let progress = Progress::new(frames.len());
+    let mut recorder = Recorder::new(recording, &pipeline, names, progress);
+    let devices = Devices {
+        camera: Box::new(ReplayFrames::new(frames, key_frames)),
+        wheels,
+        segmenter,
+        tiles: drive::tiles(&config),
+    };
+    let summary = drive::run(Setup { config: pipeline, devices }, args.pace, &mut recorder)?;
+    let (recording, counts) = recorder.into_parts(&summary)?;
+    let poses: Vec<_> = recording.poses().collect();
+    let truth = reference.compare(poses, &recording.mask_folder())?;
+    let report = recording.finish(&counts, truth)?;
+    table::print(&report, &engine, &args.out, args.json);
+    Ok(())
 }

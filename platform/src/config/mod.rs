@@ -13,7 +13,14 @@ pub use wheels::{CanWheels, DirectionSignals, FourSignals, WheelKind, WheelSourc
 
 use std::path::{Path, PathBuf};
 
+use freespace::crf::CrfConfig;
+use freespace::deadline::Slices;
 use freespace::frame::Camera;
+use freespace::grid::GridConfig;
+use freespace::map::MapConfig;
+use freespace::priors::PriorsConfig;
+use freespace::segmentation::ColourConfig;
+use freespace::track::TrackConfig;
 use serde::Deserialize;
 
 use crate::bad_input::{BadInput, read_text};
@@ -39,6 +46,24 @@ pub struct Config {
     /// When a grid must be out.
     #[serde(default)]
     pub deadline: DeadlineSection,
+    /// Keypoints and frame poses.
+    #[serde(default)]
+    pub track: TrackConfig,
+    /// Map.
+    #[serde(default)]
+    pub map: MapConfig,
+    /// Road plane, boxes and what is believed of the ground.
+    #[serde(default)]
+    pub priors: PriorsConfig,
+    /// Colour lines.
+    #[serde(default)]
+    pub colour_lines: ColourConfig,
+    /// Energy.
+    #[serde(default)]
+    pub crf: CrfConfig,
+    /// Free-space grid.
+    #[serde(default)]
+    pub grid: GridConfig,
     /// Size of the image that network, energy and cut work on; derived from the camera's without this table.
     pub working_image: Option<ImageSize>,
 }
@@ -217,6 +242,12 @@ impl Config {
             )?;
         }
         Ok(())
+    }
+
+    /// Slices of the deadline.
+    #[must_use]
+    pub fn slices(&self) -> Slices {
+        Slices { deadline_micros: self.deadline.publish_micros(), ..Slices::default() }
     }
 
     /// The camera for frames of `width` x `height`, its lens from the config or from a file in `source`, the replayed folder.

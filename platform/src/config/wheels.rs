@@ -6,6 +6,9 @@ use freespace::track::WheelConfig;
 use serde::Deserialize;
 
 use super::{Invalid, within};
+use crate::wheels::WheelMapping;
+use crate::wheels::dbc::SpeedUnit;
+pub use crate::wheels::dbc::WheelKind;
 
 /// What the config says of the wheel encoders.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -27,8 +30,8 @@ pub struct WheelsSection {
     pub metres_per_count: Option<f64>,
     /// Raw values of a counter before it wraps.
     pub modulus: Option<u32>,
-    /// Metres a second in one physical unit of the DBC's speed.
-    pub mps_per_unit: Option<f64>,
+    /// Unit of the speeds, where the DBC states none or a wrong one.
+    pub unit: Option<SpeedUnit>,
     /// Distance between the wheels of an axle.
     pub track_m: Option<f64>,
     /// Silence after which the travel is unknown.
@@ -48,16 +51,6 @@ pub enum WheelSource {
     Can,
     /// The simulated road.
     Sim,
-}
-
-/// What a reading holds.
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
-#[serde(rename_all = "snake_case")]
-pub enum WheelKind {
-    /// Pulse counters that wrap.
-    Counts,
-    /// Speeds.
-    Speeds,
 }
 
 /// A signal name for each wheel.
@@ -142,8 +135,8 @@ pub struct CanWheels {
     pub direction: Option<DirectionSignals>,
     /// Counters or speeds.
     pub kind: WheelKind,
-    /// Metres a second in one physical unit of the DBC's speed; 1 for counters.
-    pub mps_per_unit: f64,
+    /// Unit of the speeds, where the DBC states none or a wrong one.
+    pub unit: Option<SpeedUnit>,
     /// Stamp in the log minus stamp of the frame taken at the same instant.
     pub time_offset_s: f64,
     /// For the core's odometer.
@@ -154,6 +147,32 @@ fn required<T: Clone>(key: &'static str, value: Option<&T>, fix: &str) -> Result
     value
         .cloned()
         .ok_or_else(|| Invalid::new(key, format!("`{key}` is missing"), fix))
+}
+
+impl CanWheels {
+    /// The same as the decoder takes it.
+    #[must_use]
+    pub fn mapping(&self) -> WheelMapping {
+        let owned = |names: [&str; 4]| names.map(str::to_owned);
+        let (forward, backward) = self.direction.as_ref().map_or((1, 2), |d| (d.forward, d.backward));
+        WheelMapping {
+            message: self.message.clone(),
+            signals: owned(self.signals.names()),
+            directions: self.direction.as_ref().map(|direction| owned(direction.names())),
+            faults: None,
+            kind: self.kind,
+            unit: self.unit,
+            direction_ahead: forward,
+            direction_back: backward,
+        }
+    }
+
+    /// Added to a log's stamps to bring them to the frames' time.
+    #[must_use]
+    #[expect(clippy::cast_possible_truncation, reason = "checked: within 10^10 s")]
+    pub fn offset_micros(&self) -> i64 {
+        -(self.time_offset_s * 1e6).round() as i64
+    }
 }
 
 impl WheelsSection {
@@ -189,15 +208,6 @@ impl WheelsSection {
             self.kind.as_ref(),
             "set it to \"counts\" or \"speeds\"",
         )?;
-        let mps_per_unit = match kind {
-            WheelKind::Counts => 1.0,
-            WheelKind::Speeds => required(
-                "wheels.mps_per_unit",
-                self.mps_per_unit.as_ref(),
-                "metres a second in one unit of the DBC's speed: 0.44704 for mph, 0.2777778 for km/h",
-            )?,
-        };
-        within("wheels.mps_per_unit", mps_per_unit, 1e-6..=100.0, "m/s")?;
         let time_offset_s = self.time_offset_s.unwrap_or(0.0);
         within("wheels.time_offset_s", time_offset_s, -1e10..=1e10, "seconds")?;
         Ok(CanWheels {
@@ -218,7 +228,7 @@ impl WheelsSection {
             )?,
             direction: self.direction.clone(),
             kind,
-            mps_per_unit,
+            unit: self.unit,
             time_offset_s,
             odometer: self.odometer()?,
         })

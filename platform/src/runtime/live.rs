@@ -11,12 +11,12 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, TrySendError, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 use freespace::deadline::{Announcement, Publisher, Verdict};
 use freespace::frame::Camera;
 use freespace::grid::GridStage;
 use freespace::pipeline::{
-    FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace, PipelineConfig,
+    FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace,
 };
 use freespace::port::{CameraAnswer, CameraPort, Clock, FrameBuffer, WheelPort};
 use freespace::space::Micros;
@@ -348,7 +348,7 @@ impl KeyFrameThread {
     fn run(mut self) {
         warm_up_waiting();
         let _scope = RealTimeScope::enter();
-        while let Ok(job) = self.queue.recv() {
+        while let Ok(mut job) = self.queue.recv() {
             let (Ok(mut output), Ok(mut lesson)) = (self.outputs.take.try_recv(), self.lessons.take.recv()) else {
                 // Every output is still with the observer: the publisher's timer answers this key frame.
                 FrameTask::recycle(&mut job);

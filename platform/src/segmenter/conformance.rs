@@ -292,7 +292,7 @@ fn a_model_unlike_its_manifest_is_refused_by_name() {
                 }
                 other => panic!(
                     "{choice:?}, {from}: {:?}",
-                    other.map(|segmenter| segmenter.shape())
+                    other.map(|segmenter| segmenter.shape().clone())
                 ),
             }
         }

@@ -10,22 +10,12 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-use super::NetworkShape;
+use super::{ChannelOrder, NetworkShape};
 
 /// Largest accepted width or height, pixels: a typing error should not allocate gigabytes.
 const MAX_SIDE: usize = 4096;
-/// Largest accepted number of classes; the largest public road data set has 124.
-const MAX_CLASSES: usize = 256;
 
-/// Order of the input's planes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ChannelOrder {
-    /// Red, green, blue.
-    Rgb,
-    /// Blue, green, red.
-    Bgr,
-}
+use freespace::budget::MAX_CLASSES;
 
 /// The network's input, `[3, height, width]`: `(pixel - mean) * scale`, pixels 0 to 255, in the stated order.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -180,15 +170,19 @@ impl Manifest {
         })
     }
 
-    /// Sizes of input and output.
+    /// What the core must know of the network.
     #[must_use]
     pub fn shape(&self) -> NetworkShape {
         NetworkShape {
-            input_width: self.input.width,
-            input_height: self.input.height,
-            output_width: self.output.width,
-            output_height: self.output.height,
+            width: self.input.width,
+            height: self.input.height,
             classes: self.classes.len(),
+            road: self.road.iter().copied().collect(),
+            mean: self.input.mean,
+            scale: self.input.scale,
+            order: self.input.order,
+            out_width: self.output.width,
+            out_height: self.output.height,
         }
     }
 

@@ -14,50 +14,10 @@ pub mod rten;
 #[cfg(test)]
 mod conformance;
 
-pub use manifest::{ChannelOrder, Manifest, ManifestError};
+pub use freespace::segmentation::{ChannelOrder, NetworkShape};
+pub use manifest::{Manifest, ManifestError};
 
 use std::path::PathBuf;
-
-/// What a network takes and gives; sizes in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NetworkShape {
-    /// Width of the input.
-    pub input_width: usize,
-    /// Height of the input.
-    pub input_height: usize,
-    /// Width of the output.
-    pub output_width: usize,
-    /// Height of the output.
-    pub output_height: usize,
-    /// Classes of the output.
-    pub classes: usize,
-}
-
-impl NetworkShape {
-    /// Values of an input, `3 * H * W`.
-    #[must_use]
-    pub const fn input_len(&self) -> usize {
-        3 * self.input_height * self.input_width
-    }
-
-    /// Values of an output, `C * h * w`.
-    #[must_use]
-    pub const fn output_len(&self) -> usize {
-        self.classes * self.output_height * self.output_width
-    }
-
-    /// The input as the engines state it.
-    #[cfg(any(feature = "onnx", feature = "rten"))]
-    const fn input_dims(&self) -> [usize; 4] {
-        [1, 3, self.input_height, self.input_width]
-    }
-
-    /// The output as the engines state it.
-    #[cfg(any(feature = "onnx", feature = "rten"))]
-    const fn output_dims(&self) -> [usize; 4] {
-        [1, self.classes, self.output_height, self.output_width]
-    }
-}
 
 /// Why one run gave no answer; the caller keeps the last probabilities and counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -79,7 +39,7 @@ pub trait Segmenter: Send {
     fn name(&self) -> &str;
 
     /// Sizes of input and output.
-    fn shape(&self) -> NetworkShape;
+    fn shape(&self) -> &NetworkShape;
 
     /// Runs the network on `input`, `[3, H, W]`, into `output`, `[C, h, w]`.
     ///
@@ -219,9 +179,9 @@ fn open_rten(_: &Manifest, _: Vec<u8>, _: usize, why: &str) -> Result<Box<dyn Se
 #[cfg(any(feature = "onnx", feature = "rten"))]
 fn warm_up(segmenter: &mut dyn Segmenter, manifest: &Manifest) -> Result<(), OpenError> {
     const RUNS: usize = 3;
-    let shape = segmenter.shape();
-    let input = vec![0.0; shape.input_len()];
-    let mut output = vec![0.0; shape.output_len()];
+    let (input_len, output_len) = (segmenter.shape().input_len(), segmenter.shape().output_len());
+    let input = vec![0.0; input_len];
+    let mut output = vec![0.0; output_len];
     for _ in 0..RUNS {
         segmenter
             .run(&input, &mut output)
@@ -232,6 +192,18 @@ fn warm_up(segmenter: &mut dyn Segmenter, manifest: &Manifest) -> Result<(), Ope
             })?;
     }
     Ok(())
+}
+
+/// The input as the engines state it.
+#[cfg(any(feature = "onnx", feature = "rten"))]
+fn input_dims(shape: &NetworkShape) -> [usize; 4] {
+    [1, 3, shape.height, shape.width]
+}
+
+/// The output as the engines state it.
+#[cfg(any(feature = "onnx", feature = "rten"))]
+fn output_dims(shape: &NetworkShape) -> [usize; 4] {
+    [1, shape.classes, shape.out_height, shape.out_width]
 }
 
 /// Compares what a model states with what the manifest does; a dimension the model leaves open fits any.

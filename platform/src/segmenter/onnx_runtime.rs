@@ -16,7 +16,7 @@ use ort::session::builder::GraphOptimizationLevel;
 use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions, Session};
 use ort::value::{Outlet, Tensor, TensorElementType, ValueType};
 
-use super::{Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, no_such_name};
+use super::{Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, input_dims, no_such_name, output_dims};
 
 /// Folders above the program or the current one in which `.runtime` is looked for: `target/release/deps` is three deep.
 const ANCESTORS: usize = 6;
@@ -77,14 +77,14 @@ impl OnnxRuntimeSegmenter {
             "input",
             &manifest.input.name,
             session.inputs(),
-            shape.input_dims(),
+            input_dims(&shape),
         )?;
         check_outlet(
             manifest,
             "output",
             &manifest.output.name,
             session.outputs(),
-            shape.output_dims(),
+            output_dims(&shape),
         )?;
         if session.inputs().len() != 1 {
             return Err(refused(format!(
@@ -93,7 +93,7 @@ impl OnnxRuntimeSegmenter {
             )));
         }
 
-        let (input, options) = tensors(manifest, shape).map_err(|error| refused(error.to_string()))?;
+        let (input, options) = tensors(manifest, &shape).map_err(|error| refused(error.to_string()))?;
         Ok(Self {
             session,
             input,
@@ -110,8 +110,8 @@ impl Segmenter for OnnxRuntimeSegmenter {
         &self.name
     }
 
-    fn shape(&self) -> NetworkShape {
-        self.shape
+    fn shape(&self) -> &NetworkShape {
+        &self.shape
     }
 
     fn run(&mut self, input: &[f32], output: &mut [f32]) -> Result<(), SegmenterError> {
@@ -157,11 +157,11 @@ fn session(environment: &Environment, model: &[u8], threads: usize) -> Result<Se
 
 fn tensors(
     manifest: &Manifest,
-    shape: NetworkShape,
+    shape: &NetworkShape,
 ) -> Result<(Tensor<f32>, RunOptions<HasSelectedOutputs>), ort::Error> {
     let allocator = Allocator::default();
-    let input = Tensor::<f32>::new(&allocator, shape.input_dims())?;
-    let output = Tensor::<f32>::new(&allocator, shape.output_dims())?;
+    let input = Tensor::<f32>::new(&allocator, input_dims(shape))?;
+    let output = Tensor::<f32>::new(&allocator, output_dims(shape))?;
     let name = &manifest.output.name;
     let outputs = OutputSelector::no_default().with(name).preallocate(name, output);
     Ok((input, RunOptions::new()?.with_outputs(outputs)))

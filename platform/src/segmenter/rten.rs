@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use rten::{Dimension, Model, ModelOptions, NodeId, RunOptions, ThreadPool, Value, ValueView};
 
-use super::{Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, no_such_name};
+use super::{Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, input_dims, no_such_name, output_dims};
 
 /// A loaded model with its threads.
 pub struct RtenSegmenter {
@@ -46,8 +46,8 @@ impl RtenSegmenter {
         let (input_name, output_name) = (&manifest.input.name, &manifest.output.name);
         let input = find(manifest, &model, "input", input_name, model.input_ids())?;
         let output = find(manifest, &model, "output", output_name, model.output_ids())?;
-        check_node(manifest, &model, "input", input, shape.input_dims())?;
-        check_node(manifest, &model, "output", output, shape.output_dims())?;
+        check_node(manifest, &model, "input", input, input_dims(&shape))?;
+        check_node(manifest, &model, "output", output, output_dims(&shape))?;
 
         let pool = Arc::new(ThreadPool::with_num_threads(threads));
         let segmenter = Self {
@@ -77,12 +77,12 @@ impl RtenSegmenter {
             model: manifest.file.clone(),
             found: error.to_string(),
         })?;
-        check_dims(manifest, "output", self.shape.output_dims(), &dims.map(Some))
+        check_dims(manifest, "output", output_dims(&self.shape), &dims.map(Some))
     }
 
     fn answer(&self, input: &[f32]) -> Result<Value, String> {
         let input =
-            ValueView::from_shape(self.shape.input_dims(), input).map_err(|error| error.to_string())?;
+            ValueView::from_shape(input_dims(&self.shape), input).map_err(|error| error.to_string())?;
         let answer = self.model.run_n(
             vec![(self.input, input.into())],
             [self.output],
@@ -97,8 +97,8 @@ impl Segmenter for RtenSegmenter {
         &self.name
     }
 
-    fn shape(&self) -> NetworkShape {
-        self.shape
+    fn shape(&self) -> &NetworkShape {
+        &self.shape
     }
 
     fn run(&mut self, input: &[f32], output: &mut [f32]) -> Result<(), SegmenterError> {

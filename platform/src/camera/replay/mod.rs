@@ -9,11 +9,13 @@
 
 mod file;
 mod key_frames;
+mod port;
 mod sequence;
 #[cfg(test)]
 mod tests;
 
 pub use key_frames::{KeyFrameRule, KeyFrameSchedule};
+pub use port::ReplayFrames;
 
 use std::path::{Path, PathBuf};
 
@@ -185,22 +187,25 @@ impl ReplayCamera {
         self.entries.get(self.next).map(|entry| entry.stamp)
     }
 
-    /// Decodes the next frame. A file that cannot be decoded is counted, reported to `warn`, and skipped.
-    pub fn next_frame(&mut self, mut warn: impl FnMut(&str)) -> Option<ReplayFrame<'_>> {
-        loop {
-            let entry = self.entries.get(self.next)?;
-            self.next += 1;
-            let Err(reason) = file::decode(&entry.path, self.size, self.format, &mut self.bytes) else {
-                break;
-            };
+    /// Index of the frame that [`ReplayCamera::next_frame`] would decode.
+    #[must_use]
+    pub fn next_index(&self) -> Option<usize> {
+        self.entries.get(self.next).map(|entry| entry.index)
+    }
+
+    /// Decodes the next frame; none at the end.
+    ///
+    /// # Errors
+    /// A file that cannot be decoded: it is counted and passed over, and the text names it.
+    pub fn next_frame(&mut self) -> Option<Result<ReplayFrame<'_>, String>> {
+        let entry = self.entries.get(self.next)?;
+        self.next += 1;
+        if let Err(reason) = file::decode(&entry.path, self.size, self.format, &mut self.bytes) {
             self.dropped += 1;
-            warn(&format!(
-                "{}: dropped, cannot be decoded: {reason}",
-                entry.path.display()
-            ));
+            return Some(Err(format!("{}: dropped, cannot be decoded: {reason}", entry.path.display())));
         }
         let entry = &self.entries[self.next - 1];
-        Some(ReplayFrame {
+        Some(Ok(ReplayFrame {
             index: entry.index,
             name: &entry.name,
             stamp: entry.stamp,
@@ -208,6 +213,6 @@ impl ReplayCamera {
             width: self.size.width,
             height: self.size.height,
             bytes: &self.bytes,
-        })
+        }))
     }
 }

@@ -166,7 +166,7 @@ impl Recording {
     /// Where a file cannot be written.
     pub fn key_frame(&mut self, record: &KeyFrameRecord<'_>) -> Result<(), RecordingError> {
         let name = record.name;
-        let mask = picture::upsampled(&record.mask, record.image.width, record.image.height);
+        let mask = record.mask.upsampled(record.image.width, record.image.height);
         let (width, height) = (record.image.width, record.image.height);
         self.folder.png(
             &format!("masks/{name}.png"),

@@ -45,19 +45,22 @@ fn taps(target: usize, source: usize) -> Vec<(usize, usize, f32)> {
         .collect()
 }
 
-/// The mask at `width` x `height`, bilinear and cut at one half, 0 or 1.
-pub(super) fn upsampled(mask: &MaskView<'_>, width: usize, height: usize) -> Vec<u8> {
-    let label = |x: usize, y: usize| f32::from(u8::from(mask.labels[y * mask.width + x] != 0));
-    let columns = taps(width, mask.width);
-    let mut out = Vec::with_capacity(width * height);
-    for (top, bottom, down) in taps(height, mask.height) {
-        for &(left, right, along) in &columns {
-            let upper = label(left, top) * (1.0 - along) + label(right, top) * along;
-            let lower = label(left, bottom) * (1.0 - along) + label(right, bottom) * along;
-            out.push(u8::from(upper * (1.0 - down) + lower * down >= 0.5));
+impl MaskView<'_> {
+    /// The mask at `width` x `height`, bilinear and cut at one half, 0 or 1.
+    #[must_use]
+    pub fn self.upsampled(width: usize, height: usize) -> Vec<u8> {
+        let label = |x: usize, y: usize| f32::from(u8::from(self.labels[y * self.width + x] != 0));
+        let columns = taps(width, self.width);
+        let mut out = Vec::with_capacity(width * height);
+        for (top, bottom, down) in taps(height, self.height) {
+            for &(left, right, along) in &columns {
+                let upper = label(left, top) * (1.0 - along) + label(right, top) * along;
+                let lower = label(left, bottom) * (1.0 - along) + label(right, bottom) * along;
+                out.push(u8::from(upper * (1.0 - down) + lower * down >= 0.5));
+            }
         }
+        out
     }
-    out
 }
 
 /// Road tint, boundary and outline colours.

@@ -1,0 +1,156 @@
+//! `freespace demo`: a simulated drive through the pipeline at real pace, measured against its exact truth.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use freespace::frame::{Camera, RgbImage};
+use freespace::pipeline::Cadence;
+use freespace::port::WheelPort;
+use freespace::space::{Micros, Pose};
+
+use super::drive::{self, Progress, Recorder};
+use super::{DemoArgs, Failure, Pace, table};
+use crate::camera::{SimFrames, seconds_at};
+use crate::config::{Config, Wheels};
+use crate::eval::grid::{CellCount, RANGE_M};
+use crate::eval::masks::{PixelCount, TruthKind};
+use crate::eval::{Truth, trajectory};
+use crate::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup};
+use crate::sink::recording::{Recording, RunTitle};
+use crate::wheels::SimEncoders;
+use crate::world::{Encoders, GridSpec, Label, Sensor, SimCamera, Textures, World, WorldConfig};
+
+/// The configuration that is used where none is given.
+const SHIPPED: &str = "config/demo.toml";
+
+/// Runs the demo.
+///
+/// # Errors
+/// A bad configuration, or a folder that cannot be written to.
+pub fn run(args: &DemoArgs) -> Result<(), Failure> {
+    let path = args.config.clone().unwrap_or_else(|| shipped(SHIPPED));
+    let config = Config::load(&path)?;
+    let camera = config.camera_for(&path, 640, 480)?;
+    let mut world_config = WorldConfig { seed: args.seed, ..WorldConfig::default() };
+    let odometer = match config.wheels() {
+        Wheels::Sim(odometer) => Some(odometer),
+        Wheels::None | Wheels::Can(_) => None,
+    };
+    if let Some(odometer) = &odometer {
+        world_config.track_m = odometer.track_m;
+    }
+    let segmenter = drive::open_network(&config)?;
+    let engine = segmenter.name().to_owned();
+    let title = RunTitle {
+        title: format!("freespace demo, seed {}", args.seed),
+        deadline_ms: config.deadline.publish_ms,
+    };
+    let recording = Recording::create(&args.out, title)?;
+    let world = Arc::new(World::new(&world_config, &Arc::new(Textures::new())));
+    let rate_hz = config.camera.frame_rate_hz;
+    let frames = SimFrames::new(Arc::clone(&world), &camera, &Sensor::default(), false, rate_hz, args.seconds);
+    let wheels = odometer.map(|odometer| -> Box<dyn WheelPort + Send> {
+        let encoders = Encoders {
+            seed: args.seed,
+            metres_per_count: odometer.metres_per_count,
+            modulus: odometer.modulus,
+            ..Encoders::default()
+        };
+        Box::new(SimEncoders::new(Arc::clone(&world), &encoders))
+    });
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an interval of at most 10 s")]
+    let period_micros = (config.key_frames.interval_s * 1e6) as u64;
+    let pipeline = drive::pipeline_config(&config, camera, odometer, Cadence::Micros(period_micros));
+    let progress = Progress::new(frames.len());
+    let mut judge = Judge {
+        recorder: Recorder::new(recording, &pipeline, BTreeMap::new(), progress),
+        truth: SimCamera::new(&camera, &Sensor::default()),
+        picture: RgbImage::new(camera.width, camera.height),
+        world,
+        camera,
+        cells: CellCount::default(),
+        pixels: PixelCount::default(),
+        masks: 0,
+        poses: Vec::new(),
+    };
+    let devices = Devices { camera: Box::new(frames), wheels, segmenter, tiles: drive::tiles(&config) };
+    let summary = drive::run(Setup { config: pipeline, devices }, Pace::Real, &mut judge)?;
+    let truth = judge.truth();
+    let (recording, counts) = judge.recorder.into_parts(&summary)?;
+    let report = recording.finish(&counts, Some(truth))?;
+    table::print(&report, &engine, &args.out, args.json);
+    Ok(())
+}
+
+/// A shipped file: beside the current folder, else where the program was built.
+fn shipped(file: &str) -> std::path::PathBuf {
+    let here = std::path::PathBuf::from(file);
+    if here.exists() {
+        return here;
+    }
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file)
+}
+
+/// Records a drive, and measures it against the world it went through.
+struct Judge {
+    recorder: Recorder,
+    truth: SimCamera,
+    picture: RgbImage,
+    world: Arc<World>,
+    camera: Camera,
+    cells: CellCount,
+    pixels: PixelCount,
+    masks: usize,
+    poses: Vec<(Pose, Pose)>,
+}
+
+impl Judge {
+    fn true_pose(&self, stamp: Micros) -> Pose {
+        self.world.world_from_camera(seconds_at(stamp), &self.camera.mount)
+    }
+
+    fn truth(&self) -> Truth {
+        let (estimated, true_poses): (Vec<Pose>, Vec<Pose>) = self.poses.iter().copied().unzip();
+        let mut truth = Truth::default().with_grid(&self.cells).with_road(&self.pixels, self.masks);
+        if let Some(score) = trajectory::compare(&estimated, &true_poses) {
+            truth = truth.with_trajectory(&score);
+        }
+        truth
+    }
+
+    fn judge_grid(&mut self, report: &KeyFrameReport<'_>) {
+        let layout = *self.recorder.layout();
+        #[expect(clippy::cast_precision_loss, reason = "sizes of a grid")]
+        let spec = GridSpec {
+            cell_m: layout.cell_m,
+            ahead_m: layout.rows as f64 * layout.cell_m,
+            side_m: 0.5 * layout.columns as f64 * layout.cell_m,
+        };
+        let truth = self.world.free_space_truth(&self.camera, seconds_at(report.output.stamp), &spec);
+        self.cells.add(&layout, &report.output.grid.occupancy, &truth, &RANGE_M);
+    }
+
+    fn judge_mask(&mut self, report: &KeyFrameReport<'_>) {
+        let Some(job) = report.job else { return };
+        self.truth.render(&self.world, seconds_at(job.stamp), &mut self.picture);
+        let truth: Vec<u8> = self.truth.labels().iter().map(|label| u8::from(*label == Label::Road as u8)).collect();
+        let mask = self.recorder.full_size_mask(report.output);
+        // Both have the camera's size, and every value is 0 or 1.
+        if self.pixels.add(&mask, &truth, TruthKind::World).is_ok() {
+            self.masks += 1;
+        }
+    }
+}
+
+impl Observer for Judge {
+    fn frame(&mut self, report: &FrameReport) {
+        self.poses.push((report.outcome.estimate.world_from_camera, self.true_pose(report.stamp)));
+        self.recorder.frame(report);
+    }
+
+    fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
+        self.judge_grid(report);
+        self.judge_mask(report);
+        self.recorder.key_frame(report);
+    }
+}

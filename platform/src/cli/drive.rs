@@ -1,0 +1,294 @@
+//! What `demo` and `replay` share: the pipeline built from a configuration, and its results recorded.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use freespace::frame::Camera;
+use freespace::grid::GridConfig;
+use freespace::pipeline::{Cadence, KeyFrameOutput, PipelineConfig, Stage};
+use freespace::port::Clock as _;
+use freespace::segmentation::TileConfig;
+use freespace::track::WheelConfig;
+use nalgebra::{Point3, Vector3};
+
+use super::{Failure, Pace};
+use crate::bad_input::BadInput;
+use crate::clock::MonotonicClock;
+use crate::config::Config;
+use crate::eval::grid::GridLayout;
+use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, Setup};
+use crate::segmenter::{self, EngineChoice, Manifest, Segmenter};
+use crate::sink::recording::{FrameRecord, ImageView, KeyFrameRecord, MaskView, Recording, RecordingError, RunCounts};
+
+/// The pipeline's settings.
+pub(super) fn pipeline_config(
+    config: &Config,
+    camera: Camera,
+    wheels: Option<WheelConfig>,
+    cadence: Cadence,
+) -> PipelineConfig {
+    let working = config.working_size(camera.width, camera.height);
+    PipelineConfig {
+        camera,
+        working_size: (working.width, working.height),
+        wheels,
+        cadence,
+        slices: config.slices(),
+        track: config.track,
+        map: config.map,
+        priors: config.priors,
+        colour: config.colour_lines,
+        crf: config.crf,
+        grid: config.grid,
+    }
+}
+
+/// Opens the configured network.
+///
+/// # Errors
+/// A manifest or model that is missing or wrong, or no engine for it.
+pub(super) fn open_network(config: &Config) -> Result<Box<dyn Segmenter>, Failure> {
+    let manifest = Manifest::load(&config.network.manifest).map_err(Failure::bad_input)?;
+    segmenter::open(&manifest, EngineChoice::Auto, config.network.threads).map_err(Failure::bad_input)
+}
+
+/// The configured tiles.
+pub(super) const fn tiles(config: &Config) -> TileConfig {
+    TileConfig { count: Some(config.network.tiles) }
+}
+
+/// Runs the pipeline at a pace.
+///
+/// # Errors
+/// A thread that could not be started.
+pub(super) fn run(setup: Setup, pace: Pace, observer: &mut dyn Observer) -> Result<RunSummary, Failure> {
+    match pace {
+        Pace::Fast => Ok(runtime::run_in_lockstep(setup, observer)),
+        Pace::Real => runtime::run_live(setup, &Arc::new(AtomicBool::new(false)), observer).map_err(|error| {
+            Failure::Internal(miette::miette!("a thread of the pipeline could not be started: {error}"))
+        }),
+    }
+}
+
+/// Where the cells of a grid lie.
+pub(super) fn layout(config: &GridConfig) -> GridLayout {
+    let (rows, columns, cell_m) = config.size();
+    let cell_m = f64::from(cell_m);
+    #[expect(clippy::cast_precision_loss, reason = "columns of a grid")]
+    let right_m = -0.5 * columns as f64 * cell_m;
+    GridLayout { rows, columns, cell_m, origin_in_vehicle_m: [0.0, right_m] }
+}
+
+/// Writes what a run gives, and keeps what its report needs.
+pub(super) struct Recorder {
+    pub(super) recording: Recording,
+    camera: Camera,
+    working: (usize, usize),
+    layout: GridLayout,
+    names: BTreeMap<u64, String>,
+    black: Vec<u8>,
+    tracked_frames: u64,
+    error: Option<RecordingError>,
+    progress: Progress,
+}
+
+impl Recorder {
+    /// A recorder for a run of `config`; frames without a name are named by their number.
+    pub(super) fn new(
+        recording: Recording,
+        config: &PipelineConfig,
+        names: BTreeMap<u64, String>,
+        progress: Progress,
+    ) -> Self {
+        Self {
+            recording,
+            camera: config.camera,
+            working: config.working_size,
+            layout: layout(&config.grid),
+            names,
+            black: vec![0; config.camera.width * config.camera.height * 3],
+            tracked_frames: 0,
+            error: None,
+            progress,
+        }
+    }
+
+    pub(super) const fn layout(&self) -> &GridLayout {
+        &self.layout
+    }
+
+    /// Name of a frame.
+    pub(super) fn name(&self, index: u64) -> String {
+        self.names.get(&index).cloned().unwrap_or_else(|| format!("{index:06}"))
+    }
+
+    /// An output's labels at the size of the camera, 1 = road.
+    pub(super) fn full_size_mask(&self, output: &KeyFrameOutput) -> Vec<u8> {
+        let mask = MaskView { width: self.working.0, height: self.working.1, labels: &output.labels };
+        mask.upsampled(self.camera.width, self.camera.height)
+    }
+
+    /// The recording and its counts, or the first fault that it met.
+    pub(super) fn into_parts(self, summary: &RunSummary) -> Result<(Recording, RunCounts), Failure> {
+        self.progress.end();
+        if let Some(error) = self.error {
+            return Err(error.into());
+        }
+        let counts = RunCounts {
+            frames: summary.frames,
+            tracked_frames: self.tracked_frames,
+            dropped_frames: summary.dropped_frames,
+            allocations_after_start: runtime::allocation::is_installed().then_some(summary.allocations_after_start),
+            peak_rss_mb: peak_rss_mb(),
+        };
+        Ok((self.recording, counts))
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "milliseconds")]
+    fn record(&mut self, report: &KeyFrameReport<'_>) -> Result<(), RecordingError> {
+        let output = report.output;
+        let name = self.name(report.index);
+        let stages_ms = Stage::ALL.map(|stage| (stage.name(), output.times.of(stage) as f64 * 1e-3));
+        let outlines = self.outlines(report);
+        self.recording.key_frame(&KeyFrameRecord {
+            name: &name,
+            stamp: output.stamp,
+            image: ImageView {
+                width: self.camera.width,
+                height: self.camera.height,
+                channels: 3,
+                bytes: report.job.map_or(&self.black, |job| job.image.pixels()),
+            },
+            mask: MaskView { width: self.working.0, height: self.working.1, labels: &output.labels },
+            layout: self.layout,
+            cells: &output.grid.occupancy,
+            world_from_vehicle: self.camera.world_from_vehicle(&output.world_from_camera),
+            level: output.level.name(),
+            deadline_met: !report.is_miss,
+            publish_latency_ms: report.latency_micros as f64 * 1e-3,
+            stages_ms: &stages_ms,
+            outlines: &outlines,
+        })
+    }
+
+    /// Edges of the obstacle boxes in the picture.
+    #[expect(clippy::cast_possible_truncation, reason = "pixels")]
+    fn outlines(&self, report: &KeyFrameReport<'_>) -> Vec<[(f32, f32); 2]> {
+        let camera_from_world = report.output.world_from_camera.inverse();
+        let mut segments = Vec::new();
+        for obstacle in &report.output.priors.boxes {
+            let corner = |bits: usize| {
+                let sign = |axis: usize| if bits >> axis & 1 == 1 { 1.0 } else { -1.0 };
+                let half = &obstacle.half_m;
+                let local = Vector3::new(sign(0) * half.x, sign(1) * half.y, sign(2) * half.z);
+                let point: Point3<f64> = camera_from_world * (obstacle.centre + obstacle.axes * local);
+                if point.z < 0.3 {
+                    return None;
+                }
+                self.camera.lens.project(&point.coords).map(|pixel| (pixel.x as f32, pixel.y as f32))
+            };
+            for from in 0..8 {
+                for axis in 0..3 {
+                    let to = from | 1 << axis;
+                    if to != from
+                        && let (Some(a), Some(b)) = (corner(from), corner(to))
+                    {
+                        segments.push([a, b]);
+                    }
+                }
+            }
+        }
+        segments
+    }
+}
+
+impl Observer for Recorder {
+    fn frame(&mut self, report: &FrameReport) {
+        use freespace::health::TrackingState;
+        // The first frame has nothing to be tracked against: its pose is the origin.
+        let is_tracked = report.outcome.estimate.state != TrackingState::DeadReckoning || self.tracked_frames == 0;
+        self.tracked_frames += u64::from(is_tracked);
+        self.recording.frame(&FrameRecord {
+            index: usize::try_from(report.index).unwrap_or(usize::MAX),
+            stamp: report.stamp,
+            world_from_camera: report.outcome.estimate.world_from_camera,
+        });
+        self.progress.frame(report.index);
+    }
+
+    fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
+        self.progress.key_frame(report);
+        if self.error.is_none() {
+            self.error = self.record(report).err();
+        }
+    }
+}
+
+/// One line on standard error that is written over again, twice a second; nothing where that is no terminal.
+pub(super) struct Progress {
+    frames: usize,
+    clock: MonotonicClock,
+    shown_micros: u64,
+    key_frames: u64,
+    misses: u64,
+    is_shown: bool,
+}
+
+impl Progress {
+    /// For a run of `frames` frames.
+    pub(super) fn new(frames: usize) -> Self {
+        use std::io::IsTerminal as _;
+        Self {
+            frames,
+            clock: MonotonicClock::default(),
+            shown_micros: 0,
+            key_frames: 0,
+            misses: 0,
+            is_shown: std::io::stderr().is_terminal(),
+        }
+    }
+
+    fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
+        self.key_frames += 1;
+        self.misses += u64::from(report.is_miss);
+    }
+
+    fn frame(&mut self, index: u64) {
+        let now = self.clock.now().0;
+        if self.is_shown && now > self.shown_micros + 500_000 {
+            self.shown_micros = now;
+            eprint!(
+                "\rframe {:>5} of {}   key frames {}   misses {} ",
+                index + 1,
+                self.frames,
+                self.key_frames,
+                self.misses
+            );
+        }
+    }
+
+    fn end(&self) {
+        if self.is_shown {
+            eprint!("\r{:78}\r", "");
+        }
+    }
+}
+
+/// A folder to write to must not be the one that is read.
+pub(super) fn check_apart(source: &Path, out: &Path) -> Result<(), BadInput> {
+    let same = matches!((source.canonicalize(), out.canonicalize()), (Ok(a), Ok(b)) if a == b);
+    if same {
+        return Err(BadInput::of_file(out, "is the folder that is replayed", "give another folder with --out"));
+    }
+    Ok(())
+}
+
+/// Largest resident memory, as the kernel counts it.
+fn peak_rss_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    let kilobytes: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kilobytes / 1024.0)
+}

@@ -1,0 +1,57 @@
+//! The table at the end of a run.
+
+use std::path::Path;
+
+use crate::sink::recording::Report;
+
+/// Prints a report to standard output: a short table, or the JSON of `report.json`.
+pub(super) fn print(report: &Report, engine: &str, out: &Path, as_json: bool) {
+    if as_json {
+        // A report always has a JSON form.
+        println!("{}", serde_json::to_string_pretty(report).unwrap_or_default());
+        return;
+    }
+    let line = |name: &str, value: String| println!("{name:<22}{value}");
+    let met = report.key_frames - report.deadline_misses;
+    line("deadlines met", format!("{met} of {}", report.key_frames));
+    if let Some(latency) = report.capture_to_publish_ms {
+        let text = format!("p50 {:.0}  p99 {:.0}  max {:.0} ms", latency.p50, latency.p99, latency.max);
+        line("capture to publish", text);
+    }
+    let slowest: Vec<String> =
+        report.stages_ms.iter().map(|(stage, times)| format!("{stage} {:.1}", times.p50)).collect();
+    line("stages, median ms", slowest.join("  "));
+    let levels: Vec<String> = report.levels.iter().map(|(level, count)| format!("{level} {count}")).collect();
+    line("quality", levels.join("  "));
+    let frames = format!("{} tracked of {}, {} dropped", report.tracked_frames, report.frames, report.dropped_frames);
+    line("frames", frames);
+    if let Some(allocations) = report.allocations_after_start {
+        line("allocations", format!("{allocations} after start"));
+    }
+    if let Some(mb) = report.peak_rss_mb {
+        line("memory", format!("{mb:.0} MB at most"));
+    }
+    line("network", engine.to_owned());
+    if let Some(truth) = &report.truth {
+        if let Some(iou) = truth.free_space_iou {
+            line("free-space IoU", format!("{iou:.3} (0 to 30 m ahead)"));
+        }
+        if let Some(road) = truth.road {
+            let text = format!(
+                "F {:.2} %  precision {:.2} %  recall {:.2} %  ({} frames)",
+                100.0 * road.f,
+                100.0 * road.precision,
+                100.0 * road.recall,
+                road.frames
+            );
+            line("road", text);
+        }
+        if let (Some(ate), Some(distance)) = (truth.ate_se3_m, truth.distance_m) {
+            line("position error", format!("{ate:.2} m over {distance:.0} m"));
+        }
+        if let Some(scale) = truth.scale_error {
+            line("scale error", format!("{:.2} %", 100.0 * scale));
+        }
+    }
+    line("written to", format!("{} (open index.html)", out.display()));
+}
