@@ -159,8 +159,7 @@ fn a_solver_is_reusable_after_an_abort() {
     let instance = Instance {
         width: 30,
         height: 20,
-        capacities: [0, 7, 3, 5]
-            .map(|seed| (0..600).map(|p| (p * (seed + 13) * 7919 % 101) as i32).collect()),
+        capacities: [0, 7, 3, 5].map(|seed| (0..600).map(|p| p * (seed + 13) * 7919 % 101).collect()),
     };
     let mut cut = GridCut::new(30, 20);
     cut.start(&instance.problem());
