@@ -181,3 +181,136 @@ impl CrfStage {
         self.level == Level::Solved
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crf::Ablation;
+    use crate::frame::RgbImage;
+    use crate::segmentation::RoadProbability;
+    use alloc::vec::Vec;
+
+    const WIDTH: usize = 33;
+    const HEIGHT: usize = 25;
+    const COUNT: usize = WIDTH * HEIGHT;
+
+    /// Road is the left half; the network is noisy, the plane says road everywhere but in the last column.
+    struct Scene {
+        probability: RoadProbability,
+        indicator: Vec<u8>,
+        belief: Vec<f32>,
+        score: Vec<f32>,
+        rgb: RgbImage,
+    }
+
+    impl Scene {
+        fn new() -> Self {
+            let mut scene = Self {
+                probability: RoadProbability::new(WIDTH, HEIGHT),
+                indicator: vec![1; COUNT],
+                belief: vec![0.6; COUNT],
+                score: vec![0.7; COUNT],
+                rgb: RgbImage::new(WIDTH, HEIGHT),
+            };
+            for p in 0..COUNT {
+                let is_road = p % WIDTH < WIDTH / 2;
+                let noise = (p * 7919 % 101) as f32 / 101.0;
+                let road = if is_road {
+                    0.9 - 0.6 * noise * noise
+                } else {
+                    0.1 + 0.6 * noise * noise
+                };
+                scene.probability.road[p] = road;
+                scene.probability.not_road[p] = 1.0 - road;
+                scene.rgb.pixels_mut()[3 * p..3 * p + 3].fill(if is_road { 90 } else { 160 });
+                if p % WIDTH == WIDTH - 1 {
+                    scene.indicator[p] = 0;
+                }
+            }
+            scene
+        }
+
+        fn inputs(&self) -> CrfInputs<'_> {
+            CrfInputs {
+                probability: &self.probability,
+                indicator: &self.indicator,
+                indicator_previous: Some(&self.indicator),
+                belief: &self.belief,
+                belief_previous: None,
+                road_score: &self.score,
+                not_road_score: &self.score,
+                rgb: &self.rgb,
+            }
+        }
+    }
+
+    fn solve(stage: &mut CrfStage, inputs: &CrfInputs<'_>) {
+        stage.base(inputs);
+        for _ in 0..10_000 {
+            if !stage.refine(500) {
+                break;
+            }
+        }
+        assert!(stage.solved());
+    }
+
+    #[test]
+    fn noise_is_smoothed_away_up_to_the_edge_of_the_image() {
+        let scene = Scene::new();
+        let mut stage = CrfStage::new(WIDTH, HEIGHT, &CrfConfig::default());
+        solve(&mut stage, &scene.inputs());
+        for p in 0..COUNT {
+            assert_eq!(stage.labels()[p], u8::from(p % WIDTH < WIDTH / 2), "pixel {p}");
+        }
+        assert!(stage.gap().abs() < 1e-6);
+    }
+
+    #[test]
+    fn stopped_anywhere_the_margin_agrees_with_the_labels() {
+        let scene = Scene::new();
+        let mut stage = CrfStage::new(WIDTH, HEIGHT, &CrfConfig::default());
+        stage.base(&scene.inputs());
+        let mut gap = f32::INFINITY;
+        loop {
+            assert!(stage.gap() <= gap);
+            gap = stage.gap();
+            for (&label, &margin) in stage.labels().iter().zip(stage.margin()) {
+                assert_eq!(label != 0, margin > 0.5);
+            }
+            if !stage.refine(50) {
+                break;
+            }
+        }
+    }
+
+    #[test]
+    fn as_printed_the_plane_outvotes_a_certain_network() {
+        let mut scene = Scene::new();
+        scene.probability.road.fill(0.0);
+        scene.probability.not_road.fill(1.0);
+        let mut stage = CrfStage::new(WIDTH, HEIGHT, &CrfConfig::paper());
+        solve(&mut stage, &scene.inputs());
+        assert_eq!(
+            stage.labels().iter().map(|&l| usize::from(l)).sum::<usize>(),
+            COUNT - HEIGHT
+        );
+        let two_d = CrfConfig {
+            ablation: Ablation::TwoD,
+            ..CrfConfig::paper()
+        };
+        let mut stage = CrfStage::new(WIDTH, HEIGHT, &two_d);
+        solve(&mut stage, &scene.inputs());
+        assert!(stage.labels().iter().all(|&l| l == 0));
+    }
+
+    #[test]
+    fn garbage_is_no_evidence() {
+        let mut scene = Scene::new();
+        scene.probability.road.fill(f32::NAN);
+        scene.belief.fill(f32::NAN);
+        scene.score.fill(f32::NAN);
+        let mut stage = CrfStage::new(WIDTH, HEIGHT, &CrfConfig::default());
+        solve(&mut stage, &scene.inputs());
+        assert!(stage.margin().iter().all(|m| (m - 0.5).abs() < 0.1));
+    }
+}

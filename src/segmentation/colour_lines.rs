@@ -63,7 +63,7 @@ impl Default for ColourConfig {
             confident: 0.8,
             keep: 0.6,
             sigma_floor: 6.0,
-            outlier: 0.05,
+            outlier: 0.01,
         }
     }
 }

@@ -170,7 +170,7 @@ mod tests {
         let mut gray = GrayImage::new(90, 30);
         let mut rgb = RgbImage::new(90, 30);
         for (i, byte) in gray.pixels_mut().iter_mut().enumerate() {
-            *byte = (i * 31 % 256) as u8;
+            *byte = u8::try_from(i * 31 % 256).unwrap_or(0);
             rgb.pixels_mut()[3 * i..3 * i + 3].fill(*byte);
         }
         let mut filler = InputFiller::new(&shape(), 90, 30, &TileConfig::default());

@@ -158,6 +158,10 @@ mod tests {
             }
             for p in 0..150 * 50 {
                 let x = ((p % 150) as f32 + 0.5) / 150.0;
+                // The outer half of a network pixel has no neighbour to interpolate with.
+                if !(0.04..0.96).contains(&x) {
+                    continue;
+                }
                 let expected = 0.1 + 0.8 * x;
                 assert!(
                     (probability.road[p] - expected).abs() < 0.02,

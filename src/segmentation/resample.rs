@@ -4,6 +4,7 @@
 //! Cost: [`MAX_TAPS`] multiplications a destination pixel and axis at most; shrinking further skips source pixels evenly.
 #![allow(
     clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
     clippy::cast_sign_loss,
     clippy::cast_precision_loss,
     reason = "pixel arithmetic: coordinates are bounded by the image"

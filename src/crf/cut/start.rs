@@ -100,6 +100,10 @@ impl GridCut {
         self.steps_since_priced = 0;
         self.state = CutState::Running;
         self.begin_phase();
+        // Without a root on one side there is nothing to search, and the trees as planted hold the minimum.
+        if self.state == CutState::Done {
+            self.price();
+        }
     }
 
     /// Makes a pixel with terminal capacity left the root that it is.
