@@ -21,8 +21,8 @@ pub const CORNER_CELLS: usize = 400;
 pub const CORNER_CELL_PX: usize = 96;
 /// Tracking iterations on one pyramid level; three to five are usual.
 pub const KLT_ITERATIONS: usize = 10;
-/// Gauss-Newton steps of a frame's pose.
-pub const POSE_ITERATIONS: usize = 10;
+/// Gauss-Newton steps of a frame's pose: six while the weights narrow, eight to converge.
+pub const POSE_ITERATIONS: usize = 14;
 /// Tracked poses kept to be corrected by a late map: 2 s at 30 frames a second.
 pub const RECENT_POSES: usize = 64;
 

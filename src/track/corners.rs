@@ -41,9 +41,9 @@ pub(crate) const BORDER_PX: usize = 11;
 /// Half of the tensor's window.
 const HALF_PX: usize = 3;
 /// Smallest eigenvalue, in squared luma a pixel: sensor noise of 2 leaves about 2. Tuned on KITTI 03.
-const MIN_SCORE: f32 = 12.0;
+const MIN_SCORE: f32 = 16.0;
 /// The same below the horizon, where the road is.
-const MIN_SCORE_ROAD: f32 = 4.0;
+const MIN_SCORE_ROAD: f32 = 8.0;
 
 /// Width of the buffers: a cell, and what the tensor's window takes around it.
 const STRIDE: usize = CORNER_CELL_PX + 2 * HALF_PX;
@@ -314,7 +314,7 @@ mod tests {
     fn sky_and_walls_have_no_corners_but_dull_asphalt_has() {
         let mut finder = CornerFinder::new(320, 200, 100, 100);
         assert!(found(&mut finder, &GrayImage::new(320, 200), &[]).is_empty());
-        let dull = noise(320, 200, 12);
+        let dull = noise(320, 200, 15);
         let corners = found(&mut finder, &dull, &[]);
         assert!(corners.len() > 30 && corners.iter().all(|c| c.y >= 100.0));
     }

@@ -37,8 +37,15 @@ const CONVERGED_PX: f32 = 0.03;
 const MIN_CORRELATION: f32 = 0.8;
 /// Determinant of the mean gradient tensor below which a window has no corner, in (squared luma a pixel)^2.
 const MIN_DETERMINANT: f32 = 0.5;
+/// Correlation on a coarse level below which the finer ones need not be tried.
+const MIN_CORRELATION_COARSE: f32 = 0.4;
+/// Stretch below which a window is taken straight: half a pixel at its edge.
+const MIN_STRETCH: f32 = 0.06;
 /// Furthest the result may be from its guess, in pixels of the coarsest level used.
 const MAX_MOVE_PX: f32 = 12.0;
+
+/// Level on which two guesses are compared.
+const COMPARED_LEVEL: usize = 2;
 
 type Window = [[f32; SIDE]; SIDE];
 
@@ -60,8 +67,40 @@ pub(crate) struct Match {
     pub(crate) correlation: f32,
 }
 
-/// Follows a pixel, from level `coarsest` down to level `finest`.
+/// Follows a pixel, from level `coarsest` down to the finest.
 pub(crate) fn follow(
+    first: &Pyramid,
+    second: &Pyramid,
+    from: &Vector2<f32>,
+    guess: &Guess,
+    coarsest: usize,
+) -> Option<Match> {
+    descend(first, second, from, guess, coarsest, 0).filter(|m| m.correlation >= MIN_CORRELATION)
+}
+
+/// Follows a pixel to the better of two guesses: both are compared on the coarse levels only.
+pub(crate) fn follow_either(
+    first: &Pyramid,
+    second: &Pyramid,
+    from: &Vector2<f32>,
+    guesses: &[Guess; 2],
+    coarsest: usize,
+) -> Option<(Match, Guess)> {
+    let [a, b] = guesses.map(|guess| {
+        descend(first, second, from, &guess, coarsest, COMPARED_LEVEL).map(|found| (found, guess))
+    });
+    let (found, guess) = match (a, b) {
+        (Some(a), Some(b)) => Some(if a.0.correlation >= b.0.correlation { a } else { b }),
+        (one, other) => one.or(other),
+    }?;
+    let nearer = Guess {
+        pixel: found.pixel,
+        ..guess
+    };
+    follow(first, second, from, &nearer, COMPARED_LEVEL - 1).map(|found| (found, guess))
+}
+
+fn descend(
     first: &Pyramid,
     second: &Pyramid,
     from: &Vector2<f32>,
@@ -73,6 +112,7 @@ pub(crate) fn follow(
     let mut found = None;
     let mut limit_px = f32::INFINITY;
     let levels = first.levels().len().min(second.levels().len());
+    let finest = finest.min(levels - 1);
     for level in (finest..=coarsest.min(levels - 1)).rev() {
         let (from_level, to_level) = (&first.levels()[level], &second.levels()[level]);
         let Some(template) = Template::new(from_level, &at_level(from, level), &guess.stretch) else {
@@ -84,13 +124,14 @@ pub(crate) fn follow(
             limit_px = MAX_MOVE_PX * scale;
         }
         let Some((on_level, correlation)) = template.align(to_level, &at_level(&at, level), level > 0) else {
-            if level == finest {
-                return None;
-            }
             continue;
         };
+        if correlation < MIN_CORRELATION_COARSE {
+            return None;
+        }
         at = on_level.map(|v| (v + 0.5) * scale - 0.5);
-        if (at - guess.pixel).amax() > limit_px {
+        // Written so that NaN is too far.
+        if !((at - guess.pixel).amax() <= limit_px) {
             return None;
         }
         found = (level == finest).then_some(Match {
@@ -98,7 +139,7 @@ pub(crate) fn follow(
             correlation,
         });
     }
-    found.filter(|m| m.correlation >= MIN_CORRELATION)
+    found
 }
 
 fn at_level(pixel: &Vector2<f32>, level: usize) -> Vector2<f32> {
@@ -120,7 +161,7 @@ struct Template {
 impl Template {
     fn new(image: &GrayImage, centre: &Vector2<f32>, stretch: &Matrix2<f32>) -> Option<Self> {
         let mut wide = [[0.0; WIDE]; WIDE];
-        if (stretch - Matrix2::identity()).amax() < 0.02 {
+        if (stretch - Matrix2::identity()).amax() < MIN_STRETCH {
             sample(image, centre.x - HALF - 1.0, centre.y - HALF - 1.0, &mut wide)?;
         } else {
             sample_stretched(image, centre, &stretch.try_inverse()?, &mut wide)?;
@@ -334,7 +375,7 @@ mod tests {
             let first = picture(1.0, Vector2::zeros(), 1.0, 0.0);
             let second = picture(1.0, Vector2::new(dx, dy), gain, offset);
             let from = Vector2::new(140.3, 96.8);
-            let found = follow(&first, &second, &from, &stay(from), 3, 0).unwrap();
+            let found = follow(&first, &second, &from, &stay(from), 3).unwrap();
             prop_assert!((found.pixel - from - Vector2::new(dx, dy)).norm() < 0.15);
             prop_assert!(found.correlation > 0.98);
         }
@@ -350,7 +391,7 @@ mod tests {
             pixel: truth + Vector2::new(4.0, -3.0),
             stretch: Matrix2::identity() * 1.4,
         };
-        let found = follow(&first, &second, &from, &guess, 2, 0).unwrap();
+        let found = follow(&first, &second, &from, &guess, 2).unwrap();
         assert!((found.pixel - truth).norm() < 0.3, "{}", found.pixel - truth);
     }
 
@@ -359,10 +400,10 @@ mod tests {
         let first = picture(1.0, Vector2::zeros(), 1.0, 0.0);
         let flat = Pyramid::new(320, 200);
         let from = Vector2::new(140.0, 96.0);
-        assert!(follow(&first, &flat, &from, &stay(from), 3, 0).is_none());
+        assert!(follow(&first, &flat, &from, &stay(from), 3).is_none());
         let outside = stay(Vector2::new(f32::NAN, 1e9));
-        assert!(follow(&first, &first, &from, &outside, 3, 0).is_none());
+        assert!(follow(&first, &first, &from, &outside, 3).is_none());
         let border = Vector2::new(3.0, 3.0);
-        assert!(follow(&first, &first, &border, &stay(border), 3, 0).is_none());
+        assert!(follow(&first, &first, &border, &stay(border), 3).is_none());
     }
 }

@@ -10,8 +10,12 @@ mod klt;
 mod pose;
 mod predict;
 mod rolling;
+mod search;
 mod tracker;
 mod wheels;
+
+#[cfg(test)]
+mod tracker_tests;
 
 pub use tracker::{FrameEstimate, TrackConfig, Tracker};
 pub use wheels::{Travel, WheelConfig, WheelOdometer, WheelReading};

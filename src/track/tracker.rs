@@ -19,19 +19,19 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use heapless::Deque;
-use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 #[allow(
     unused_imports,
     reason = "float methods come from std where that feature is on"
 )]
 use num_traits::Float as _;
 
-use super::corners::{BORDER_PX, CornerFinder};
+use super::corners::CornerFinder;
 use super::keypoint::Keypoint;
-use super::klt::{Guess, Match, follow};
 use super::pose::{Prior, Residual, Sighting, solve};
 use super::predict::Predictor;
 use super::rolling::Rolling;
+use super::search::{guesses, there_and_back};
 use super::{TrackId, Travel};
 use crate::budget::{MAX_TRACKS, RECENT_POSES};
 use crate::health::TrackingState;
@@ -39,8 +39,6 @@ use crate::frame::{Camera, Pyramid};
 use crate::map::{MapUpdate, Observation, View};
 use crate::space::{Micros, Plane, Pose};
 
-/// A track must come back this near to where it started.
-const FORWARD_BACKWARD_PX: f32 = 0.7;
 /// Residual above which a track contradicts the pose: epipolar, and by its landmark.
 const STRIKE_PX: f32 = 2.0;
 const STRIKE_LANDMARK_PX: f32 = 4.0;
@@ -61,8 +59,6 @@ const VIEW_PARALLAX_PX: f32 = 20.0;
 const VIEW_SURVIVORS: f64 = 0.6;
 /// Parallax below which even lost tracks are no reason: nothing could be triangulated.
 const VIEW_MIN_TRAVEL_M: f64 = 0.1;
-/// Guesses nearer to each other than this are one.
-const SAME_GUESS_PX: f32 = 4.0;
 /// Longest time over which a turn rate is carried on.
 const MAX_CARRY_S: f64 = 0.5;
 
@@ -121,6 +117,8 @@ pub struct Tracker {
     focal_px: f64,
     rolling: Rolling,
     tracks: Vec<Keypoint>,
+    /// Tracks alive at most: cells with many old tracks must not push the total up.
+    most_tracks: usize,
     next_id: u32,
     finder: CornerFinder,
     /// Newest last.
@@ -161,6 +159,7 @@ impl Tracker {
             focal_px: camera.lens.focal_px(),
             rolling: Rolling::new(&camera.mount),
             tracks: Vec::with_capacity(MAX_TRACKS),
+            most_tracks: (wanted + wanted / 10).min(MAX_TRACKS),
             next_id: 0,
             finder: CornerFinder::new(camera.width, camera.height, horizon_px, wanted),
             past: Deque::new(),
@@ -192,6 +191,7 @@ impl Tracker {
     ) -> FrameEstimate {
         let Some(motion) = self.foretell(stamp, travel) else {
             let world_from_camera = self.camera.mount.vehicle_from_camera();
+            self.travel = travel;
             self.remember(stamp, world_from_camera);
             self.add_corners(current, plane_in_camera);
             self.state = TrackingState::DeadReckoning;
@@ -216,6 +216,7 @@ impl Tracker {
 
     /// A frame without a usable picture: the pose is dead-reckoned, the tracks wait for the next good one.
     pub fn coast(&mut self, stamp: Micros, travel: Option<Travel>) -> FrameEstimate {
+        let last_travel = self.travel;
         let pose = match self.foretell(stamp, travel) {
             Some(motion) => {
                 self.state = TrackingState::DeadReckoning;
@@ -227,6 +228,7 @@ impl Tracker {
             }
             None => self.camera.mount.vehicle_from_camera(),
         };
+        self.travel = last_travel;
         // Not remembered: the tracks still belong to the last good frame, and so does its pose.
         FrameEstimate {
             travel,
@@ -554,7 +556,7 @@ impl Tracker {
 
     fn add_corners(&mut self, current: &Pyramid, plane: &Plane) {
         let lens = self.camera.lens;
-        let room = MAX_TRACKS - self.tracks.len();
+        let room = self.most_tracks.saturating_sub(self.tracks.len());
         let corners = self
             .finder
             .find(current.base(), self.tracks.iter().map(|t| t.pixel), room);
@@ -599,73 +601,6 @@ impl Tracker {
 
 fn agrees(residual: &Residual) -> bool {
     residual.epipolar_px < STRIKE_PX && residual.landmark_px.is_none_or(|px| px < STRIKE_LANDMARK_PX)
-}
-
-/// Up to two places to look at, and the level to begin at.
-struct Guesses {
-    places: heapless::Vec<Guess, 2>,
-    coarsest: usize,
-}
-
-fn guesses(
-    predictor: &Predictor<'_>,
-    track: &Keypoint,
-    previous_from_world: &Pose,
-    baseline_m: f64,
-    focal_px: f64,
-) -> Guesses {
-    let mut places = heapless::Vec::new();
-    let inverse_m = match track.landmark {
-        Some(landmark) => Some(1.0 / (previous_from_world * landmark).coords.norm().max(0.5)),
-        None => track
-            .distance_known(baseline_m, focal_px, 6.0)
-            .then_some(track.inverse_m),
-    };
-    if let Some(guess) = inverse_m.and_then(|i| predictor.at_distance(&track.pixel, &track.ray, i)) {
-        let _ = places.push(guess);
-        return Guesses { places, coarsest: 2 };
-    }
-    let far = predictor.at_distance(&track.pixel, &track.ray, 0.0);
-    let road = predictor.on_plane(&track.pixel, &track.ray);
-    let same = matches!((&far, &road), (Some(a), Some(b)) if (a.pixel - b.pixel).norm() < SAME_GUESS_PX);
-    for guess in [road, far.filter(|_| !same)].into_iter().flatten() {
-        // As many places as guesses.
-        let _ = places.push(guess);
-    }
-    Guesses { places, coarsest: 3 }
-}
-
-/// Follows a pixel to each guess, keeps the better, and demands that it leads back.
-fn there_and_back(
-    previous: &Pyramid,
-    current: &Pyramid,
-    from: &Vector2<f32>,
-    guesses: &Guesses,
-) -> Option<Match> {
-    let mut best: Option<(Match, Matrix2<f32>)> = None;
-    for guess in &guesses.places {
-        if let Some(found) = follow(previous, current, from, guess, guesses.coarsest, 0)
-            && best.is_none_or(|(b, _)| found.correlation > b.correlation)
-        {
-            best = Some((found, guess.stretch));
-        }
-    }
-    let (found, stretch) = best?;
-    let base = current.base();
-    let border = BORDER_PX as f32 - 2.0;
-    let inside = found.pixel.x >= border
-        && found.pixel.y >= border
-        && found.pixel.x < base.width() as f32 - border
-        && found.pixel.y < base.height() as f32 - border;
-    if !inside {
-        return None;
-    }
-    let back = Guess {
-        pixel: *from,
-        stretch: stretch.try_inverse()?,
-    };
-    let returned = follow(current, previous, &found.pixel, &back, 1, 0)?;
-    ((returned.pixel - from).norm() < FORWARD_BACKWARD_PX).then_some(found)
 }
 
 fn median(values: &mut [f32]) -> Option<f32> {
