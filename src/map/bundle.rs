@@ -81,6 +81,8 @@ pub(super) struct Bundle {
     iterations: usize,
     converged: bool,
     chosen: Vec<u16>,
+    /// Sightings of landmarks in each view.
+    sightings: [usize; WINDOW_VIEWS],
     normal: Box<[f64]>,
     factor: Box<[f64]>,
     side: Box<[f64]>,
@@ -97,6 +99,7 @@ impl Bundle {
             iterations: 0,
             converged: true,
             chosen: Vec::with_capacity(BUNDLE_LANDMARKS),
+            sightings: [0; WINDOW_VIEWS],
             normal: vec![0.0; POSES * POSES].into_boxed_slice(),
             factor: vec![0.0; POSES * POSES].into_boxed_slice(),
             side: vec![0.0; POSES].into_boxed_slice(),
@@ -111,6 +114,9 @@ impl Bundle {
         self.damping = FIRST_DAMPING;
         self.iterations = 0;
         self.converged = window.views().len() < 2;
+        for view in 0..window.views().len() {
+            self.sightings[view] = sightings_in_use(window, view);
+        }
         self.chosen.clear();
         // The longest seen first: they tie the window together.
         for least in [6, 4, 3, 2] {
@@ -214,7 +220,7 @@ impl Bundle {
             if let Some(step) = wheel_row(rig, &views[second - 1], &views[second]) {
                 path.add(&step, ends, views[second].wheel_step.map_or(0.0, |w| w.chord_m));
             }
-            for row in rows(rig, &views[second - 1], &views[second], sightings_in_use(window, second)) {
+            for row in rows(rig, &views[second - 1], &views[second], self.sightings[second]) {
                 let (loss, weight) = huber(row.residual.abs(), HUBER_SIGMA);
                 cost += loss;
                 let ends = [(ends[0], &row.by_first), (ends[1], &row.by_second)];
@@ -367,21 +373,23 @@ impl Bundle {
             if let Some(step) = wheel_row(rig, &views[second - 1], &views[second]) {
                 path.add(&step, [None, None], views[second].wheel_step.map_or(0.0, |w| w.chord_m));
             }
-            for row in rows(rig, &views[second - 1], &views[second], sightings_in_use(window, second)) {
+            for row in rows(rig, &views[second - 1], &views[second], self.sightings[second]) {
                 cost += huber(row.residual.abs(), HUBER_SIGMA).0;
             }
         }
         cost += 0.5 * path.weight() * path.residual_m.powi(2);
-        let mut camera_from_world = [Pose::identity(); WINDOW_VIEWS];
+        let mut camera_from_world = [Matrix3::identity(); WINDOW_VIEWS];
         for (inverse, view) in camera_from_world.iter_mut().zip(views) {
-            *inverse = view.world_from_camera.inverse();
+            *inverse = *view.world_from_camera.rotation.inverse().to_rotation_matrix().matrix();
         }
         for &p in &self.chosen {
             let point = &window.points[usize::from(p)].point_in_world;
             for &entry in window.entries_of(usize::from(p)) {
                 let sighting = window.sighting(entry);
                 if sighting.agrees {
-                    let error = sighting.error_px(&(camera_from_world[usize::from(entry.view)] * point));
+                    let view = usize::from(entry.view);
+                    let offset = point.coords - views[view].world_from_camera.translation.vector;
+                    let error = sighting.error_px(&Point3::from(camera_from_world[view] * offset));
                     cost += huber(error.unwrap_or(BEHIND_PX), HUBER_PX).0 / SIGHT_SIGMA_PX.powi(2);
                 }
             }

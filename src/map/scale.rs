@@ -9,7 +9,7 @@
 use num_traits::Float as _;
 
 /// Disagreement that is noticed: a share of the step, some centimetres, and what the picture itself may err.
-const TOLERANCE: f64 = 0.06;
+const TOLERANCE: f64 = 0.08;
 const TOLERANCE_M: f64 = 0.03;
 const TOLERANCE_SIGMA: f64 = 3.0;
 /// A picture this vague about a step cannot judge the wheels.

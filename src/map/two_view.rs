@@ -22,8 +22,9 @@ const REFINE_STEPS: usize = 6;
 const SCORED_MATCHES: usize = 200;
 /// Sampson error of an inlier: three standard deviations of a KLT track.
 const INLIER_PX: f64 = 1.5;
-/// Mean angle between the rays of a pair below which its direction is not used: one pixel at 720 px focal length.
-const WEAK_PARALLAX_RAD: f64 = 1.4e-3;
+/// Mean angle between the rays of a pair below which its direction is not used: noise of half a pixel at 720 px focal
+/// length alone makes 1.3e-3.
+const WEAK_PARALLAX_RAD: f64 = 2.0e-3;
 /// Inliers below which a pair is not used.
 const MIN_INLIERS: usize = 20;
 
