@@ -36,7 +36,14 @@ fn camera() -> Camera {
         lens: Lens::pinhole(720.0, 720.0, 620.0, 187.0),
         width: 1242,
         height: 375,
-        mount: Mount { height_m: 1.65, ahead_m: 1.7, left_m: 0.0, pitch_rad: 0.0, yaw_rad: 0.0, roll_rad: 0.0 },
+        mount: Mount {
+            height_m: 1.65,
+            ahead_m: 1.7,
+            left_m: 0.0,
+            pitch_rad: 0.0,
+            yaw_rad: 0.0,
+            roll_rad: 0.0,
+        },
     }
 }
 
@@ -48,16 +55,35 @@ fn view(k: u32) -> View {
     let mut view = View {
         stamp: Micros(u64::from(k) * 100_000),
         world_from_camera,
-        travel: Some(Travel { distance_m, heading_rad: 0.0 }),
+        travel: Some(Travel {
+            distance_m,
+            heading_rad: 0.0,
+        }),
         ..View::default()
     };
     for p in 0..6000_u32 {
         let place = f64::from(p);
-        let point = Point3::new(place * 0.03, 9.0 * (place * 0.618).fract() - 4.5, 3.0 * (place * 0.414).fract());
+        let point = Point3::new(
+            place * 0.03,
+            9.0 * (place * 0.618).fract() - 4.5,
+            3.0 * (place * 0.414).fract(),
+        );
         let in_camera = world_from_camera.inverse() * point;
-        let Some(pixel) = camera().lens.project(&in_camera.coords) else { continue };
-        let is_seen = (3.0..40.0).contains(&in_camera.z) && (0.0..1242.0).contains(&pixel.x) && (0.0..375.0).contains(&pixel.y);
-        if is_seen && view.observations.push(Observation { track: TrackId(p), pixel: pixel.cast() }).is_err() {
+        let Some(pixel) = camera().lens.project(&in_camera.coords) else {
+            continue;
+        };
+        let is_seen = (3.0..40.0).contains(&in_camera.z)
+            && (0.0..1242.0).contains(&pixel.x)
+            && (0.0..375.0).contains(&pixel.y);
+        if is_seen
+            && view
+                .observations
+                .push(Observation {
+                    track: TrackId(p),
+                    pixel: pixel.cast(),
+                })
+                .is_err()
+        {
             break;
         }
     }

@@ -98,7 +98,10 @@ fn add_cubic(a: &Quadratic, b: &Linear, out: &mut Cubic) {
 }
 
 /// Essential matrices of five bearing pairs.
-pub(super) fn essential_matrices(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> heapless::Vec<Matrix3<f64>, 10> {
+pub(super) fn essential_matrices(
+    first: &[Vector3<f64>; 5],
+    second: &[Vector3<f64>; 5],
+) -> heapless::Vec<Matrix3<f64>, 10> {
     let mut found = heapless::Vec::new();
     let Some(basis) = null_space(first, second) else {
         return found;
@@ -151,7 +154,12 @@ fn null_space(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> Option<[
         basis[k] = best.normalize();
     }
     let matrix = |v: &SVector<f64, 9>| Matrix3::from_fn(|r, c| v[3 * r + c]);
-    Some([matrix(&basis[5]), matrix(&basis[6]), matrix(&basis[7]), matrix(&basis[8])])
+    Some([
+        matrix(&basis[5]),
+        matrix(&basis[6]),
+        matrix(&basis[7]),
+        matrix(&basis[8]),
+    ])
 }
 
 /// What of `v` lies outside the span of `basis`; twice, against cancellation.
@@ -166,7 +174,14 @@ fn orthogonal(mut v: SVector<f64, 9>, basis: &[SVector<f64, 9>]) -> SVector<f64,
 
 /// `det E = 0` and `2 E E' E - trace(E E') E = 0` as cubics in x, y, z.
 fn constraints(basis: &[Matrix3<f64>; 4]) -> [Cubic; 10] {
-    let e = |r: usize, c: usize| -> Linear { [basis[0][(r, c)], basis[1][(r, c)], basis[2][(r, c)], basis[3][(r, c)]] };
+    let e = |r: usize, c: usize| -> Linear {
+        [
+            basis[0][(r, c)],
+            basis[1][(r, c)],
+            basis[2][(r, c)],
+            basis[3][(r, c)],
+        ]
+    };
     let mut rows = [[0.0; 20]; 10];
     let mut eet = [[[0.0; 10]; 3]; 3];
     for i in 0..3 {
@@ -244,7 +259,14 @@ fn reduced_row(e: &Cubic, f: &Cubic) -> [[f64; 5]; 3] {
 
 fn determinant(b: &[[[f64; 5]; 3]; 3]) -> [f64; 11] {
     let mut sum = [0.0; 11];
-    for (i, j, k, sign) in [(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (0, 2, 1, -1.0), (1, 0, 2, -1.0), (2, 1, 0, -1.0)] {
+    for (i, j, k, sign) in [
+        (0, 1, 2, 1.0),
+        (1, 2, 0, 1.0),
+        (2, 0, 1, 1.0),
+        (0, 2, 1, -1.0),
+        (1, 0, 2, -1.0),
+        (2, 1, 0, -1.0),
+    ] {
         // Permutation of the columns x, y, 1 over the rows.
         let mut pair = [0.0; 9];
         for p in 0..5 {
@@ -330,7 +352,11 @@ fn crossing(p: &[f64], mut low: f64, mut high: f64) -> Option<f64> {
             high = z;
         }
         let newton = z - value / slope;
-        let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+        let next = if newton > low && newton < high {
+            newton
+        } else {
+            0.5 * (low + high)
+        };
         if (next - z).abs() < 1e-14 {
             return Some(next);
         }
