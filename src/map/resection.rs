@@ -5,11 +5,14 @@
 //! It is what the wheels are judged by: a step between two resections is metric through the landmarks alone.
 
 use nalgebra::{Matrix2x3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 use super::triangulate::{SIGHT_SIGMA_PX, reprojection};
-use super::window::{MapView, MapPoint, NO_POINT, Sighting};
+use super::window::{MapPoint, MapView, NO_POINT, Sighting};
 use crate::space::Pose;
 
 /// Gauss-Newton steps.
@@ -27,8 +30,15 @@ pub(super) struct Resection {
     pub(super) position_covariance: Matrix3<f64>,
 }
 
-pub(super) fn located<'a>(view: &'a MapView, points: &'a [MapPoint]) -> impl Iterator<Item = (&'a Sighting, &'a MapPoint)> {
-    view.sightings.iter().filter(|s| s.point != NO_POINT).map(|s| (s, &points[usize::from(s.point)])).filter(|(_, p)| p.located)
+pub(super) fn located<'a>(
+    view: &'a MapView,
+    points: &'a [MapPoint],
+) -> impl Iterator<Item = (&'a Sighting, &'a MapPoint)> {
+    view.sightings
+        .iter()
+        .filter(|s| s.point != NO_POINT)
+        .map(|s| (s, &points[usize::from(s.point)]))
+        .filter(|(_, p)| p.located)
 }
 
 /// Mean truncated squared error of the located points seen from a pose; none where there are too few.
@@ -36,7 +46,9 @@ pub(super) fn mismatch(view: &MapView, points: &[MapPoint], pose: &Pose) -> Opti
     let (mut sum, mut count) = (0.0, 0);
     let camera_from_world = pose.inverse();
     for (sighting, point) in located(view, points) {
-        let error = sighting.error_px(&(camera_from_world * point.point_in_world)).unwrap_or(20.0);
+        let error = sighting
+            .error_px(&(camera_from_world * point.point_in_world))
+            .unwrap_or(20.0);
         sum += error.min(20.0).powi(2);
         count += 1;
     }
@@ -54,7 +66,9 @@ pub(super) fn resect(view: &MapView, points: &[MapPoint], start: &Pose) -> Optio
         let camera_from_world = pose.rotation.inverse().to_rotation_matrix();
         for (sighting, point) in located(view, points) {
             let in_camera = camera_from_world * (point.point_in_world.coords - pose.translation.vector);
-            let Some((residual, by_camera)) = reprojection(sighting, &in_camera) else { continue };
+            let Some((residual, by_camera)) = reprojection(sighting, &in_camera) else {
+                continue;
+            };
             let square = residual.norm_squared();
             inliers += usize::from(square < INLIER_PX * INLIER_PX);
             let weight = 1.0 / (1.0 + square / (tolerance * tolerance)).powi(2);
@@ -62,8 +76,12 @@ pub(super) fn resect(view: &MapView, points: &[MapPoint], start: &Pose) -> Optio
             let by_position: Matrix2x3<f64> = -by_camera * camera_from_world.matrix();
             for r in 0..2 {
                 let row = Vector6::new(
-                    by_turn[(r, 0)], by_turn[(r, 1)], by_turn[(r, 2)],
-                    by_position[(r, 0)], by_position[(r, 1)], by_position[(r, 2)],
+                    by_turn[(r, 0)],
+                    by_turn[(r, 1)],
+                    by_turn[(r, 2)],
+                    by_position[(r, 0)],
+                    by_position[(r, 1)],
+                    by_position[(r, 2)],
                 );
                 normal.syger(weight, &row, &row, 1.0);
                 gradient.axpy(-weight * residual[r], &row, 1.0);
@@ -84,5 +102,8 @@ pub(super) fn resect(view: &MapView, points: &[MapPoint], start: &Pose) -> Optio
             covariance = Some(factor.inverse().fixed_view::<3, 3>(3, 3) * SIGHT_SIGMA_PX * SIGHT_SIGMA_PX);
         }
     }
-    covariance.map(|position_covariance| Resection { world_from_camera: pose, position_covariance })
+    covariance.map(|position_covariance| Resection {
+        world_from_camera: pose,
+        position_covariance,
+    })
 }

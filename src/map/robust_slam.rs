@@ -10,7 +10,10 @@
 use alloc::vec::Vec;
 
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 use super::bundle::{Bundle, landmark_depth_sigma};
@@ -46,7 +49,11 @@ const EDGES: usize = BATCH_VIEWS * (VIEW_GRAPH_SPAN + 1);
 
 /// What the map may be told.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(default, deny_unknown_fields))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
 pub struct MapConfig {
     /// Seed of the random samples; the same seed and input give the same map.
     pub seed: u64,
@@ -147,12 +154,18 @@ impl Map {
     /// World from camera of the newest view; the identity before the first.
     #[must_use]
     pub fn newest_pose(&self) -> Pose {
-        self.window.views().last().map_or_else(Pose::identity, |view| view.world_from_camera)
+        self.window
+            .views()
+            .last()
+            .map_or_else(Pose::identity, |view| view.world_from_camera)
     }
 
     /// Stamps and poses of the window's views, oldest first.
     pub fn poses(&self) -> impl Iterator<Item = (crate::space::Micros, Pose)> + '_ {
-        self.window.views().iter().map(|view| (view.stamp, view.world_from_camera))
+        self.window
+            .views()
+            .iter()
+            .map(|view| (view.stamp, view.world_from_camera))
     }
 
     /// Where the scale comes from at present.
@@ -204,7 +217,11 @@ impl Map {
         out.world_from_camera = newest.world_from_camera;
         let alive = &views[views.len().saturating_sub(LIVE_VIEWS)..];
         for landmark in &self.landmarks {
-            let seen = alive.iter().any(|v| v.sightings.binary_search_by_key(&landmark.track, |s| s.track).is_ok());
+            let seen = alive.iter().any(|v| {
+                v.sightings
+                    .binary_search_by_key(&landmark.track, |s| s.track)
+                    .is_ok()
+            });
             if seen {
                 // As large as the list it is filled from.
                 let _ = out.landmarks.push((landmark.track, landmark.point_in_world));
@@ -234,7 +251,14 @@ impl Map {
     fn predicted(&self, view: &View) -> (Pose, Pose) {
         let tracked = view.world_from_camera;
         let Some(last) = self.window.views().last() else {
-            return (if is_finite(&tracked) { tracked } else { Pose::identity() }, Pose::identity());
+            return (
+                if is_finite(&tracked) {
+                    tracked
+                } else {
+                    Pose::identity()
+                },
+                Pose::identity(),
+            );
         };
         let step = last.tracked.inv_mul(&tracked);
         let step = if is_finite(&step) { step } else { Pose::identity() };
@@ -246,7 +270,9 @@ impl Map {
     /// A tracker that took the last update in between moved to the map's poses; its step from the view before is then one from
     /// the map's pose of that view. The landmarks tell which.
     fn follow_update(&mut self, first_new: usize) {
-        let Some(last) = first_new.checked_sub(1) else { return };
+        let Some(last) = first_new.checked_sub(1) else {
+            return;
+        };
         let views = self.window.views();
         let (last, first) = (&views[last], &views[first_new]);
         let fit = |pose: &Pose| mismatch(first, &self.window.points, pose);
@@ -269,10 +295,16 @@ impl Map {
         for j in first_new..self.window.views().len() {
             let views = self.window.views();
             let seen = resect(&views[j], &self.window.points, &self.start_of(j, before.as_ref()));
-            let visual = (j > 0).then(|| self.visual_step(j, before.as_ref(), seen.as_ref())).flatten();
+            let visual = (j > 0)
+                .then(|| self.visual_step(j, before.as_ref(), seen.as_ref()))
+                .flatten();
             before = seen;
             let views = self.window.views();
-            let travels = if j > 0 { views[j - 1].travel.zip(views[j].travel) } else { None };
+            let travels = if j > 0 {
+                views[j - 1].travel.zip(views[j].travel)
+            } else {
+                None
+            };
             let Some((a, b)) = travels else {
                 if j > 0 && self.scale.state == ScaleState::Wheels {
                     self.scale.state = ScaleState::Held;
@@ -297,16 +329,28 @@ impl Map {
     /// Start of a view's resection: the tracked step from where the view before was seen.
     fn start_of(&self, view: usize, before: Option<&Resection>) -> Pose {
         let views = self.window.views();
-        before.map_or(views[view].world_from_camera, |b| b.world_from_camera * views[view].tracked_step)
+        before.map_or(views[view].world_from_camera, |b| {
+            b.world_from_camera * views[view].tracked_step
+        })
     }
 
-    fn visual_step(&self, view: usize, before: Option<&Resection>, seen: Option<&Resection>) -> Option<VisualStep> {
+    fn visual_step(
+        &self,
+        view: usize,
+        before: Option<&Resection>,
+        seen: Option<&Resection>,
+    ) -> Option<VisualStep> {
         let seen = seen?;
         let old = &self.window.views()[view - 1].world_from_camera;
         let first = before.map_or(old, |b| &b.world_from_camera);
-        let along = (seen.world_from_camera.translation.vector - first.translation.vector).try_normalize(1e-3);
+        let along =
+            (seen.world_from_camera.translation.vector - first.translation.vector).try_normalize(1e-3);
         let variance = |r: &Resection| {
-            along.map_or(r.position_covariance.trace(), |u| (r.position_covariance * u).dot(&u)).max(0.0)
+            along
+                .map_or(r.position_covariance.trace(), |u| {
+                    (r.position_covariance * u).dot(&u)
+                })
+                .max(0.0)
         };
         Some(VisualStep {
             length_m: self.rig.step_m(first, &seen.world_from_camera),
@@ -322,8 +366,12 @@ impl Map {
             return;
         }
         let graph = self.view_graph(held);
-        let mut rotations: heapless::Vec<UnitQuaternion<f64>, WINDOW_VIEWS> =
-            self.window.views().iter().map(|v| v.world_from_camera.rotation).collect();
+        let mut rotations: heapless::Vec<UnitQuaternion<f64>, WINDOW_VIEWS> = self
+            .window
+            .views()
+            .iter()
+            .map(|v| v.world_from_camera.rotation)
+            .collect();
         average_rotations(&graph.rotations, held, &mut rotations);
         let positions = self.averaged_positions(&graph, held, &rotations);
         for j in held..count {
@@ -354,7 +402,10 @@ impl Map {
 
     /// Relative poses of each new view with the [`VIEW_GRAPH_SPAN`] before it.
     fn view_graph(&mut self, held: usize) -> ViewGraph {
-        let mut graph = ViewGraph { rotations: heapless::Vec::new(), directions: heapless::Vec::new() };
+        let mut graph = ViewGraph {
+            rotations: heapless::Vec::new(),
+            directions: heapless::Vec::new(),
+        };
         let focal_px = self.camera.lens.focal_px();
         for second in held..self.window.views().len() {
             let mut tracked = Pose::identity();
@@ -362,15 +413,32 @@ impl Map {
                 let views = self.window.views();
                 tracked = views[first + 1].tracked_step * tracked;
                 if first + 1 == second {
-                    let edge = RotationEdge { first, second, rotation: tracked.rotation, weight: TRACKED_WEIGHT };
+                    let edge = RotationEdge {
+                        first,
+                        second,
+                        rotation: tracked.rotation,
+                        weight: TRACKED_WEIGHT,
+                    };
                     let _ = graph.rotations.push(edge);
                 }
                 self.collect_matches(first, second);
-                let Some(pair) = relative_pose(&self.matches, &tracked, focal_px, &mut self.random) else { continue };
+                let Some(pair) = relative_pose(&self.matches, &tracked, focal_px, &mut self.random) else {
+                    continue;
+                };
                 let weight = pair.inliers as f64;
-                let _ = graph.rotations.push(RotationEdge { first, second, rotation: pair.rotation, weight });
+                let _ = graph.rotations.push(RotationEdge {
+                    first,
+                    second,
+                    rotation: pair.rotation,
+                    weight,
+                });
                 if pair.has_parallax {
-                    let _ = graph.directions.push(DirectionEdge { first, second, direction: pair.direction, weight });
+                    let _ = graph.directions.push(DirectionEdge {
+                        first,
+                        second,
+                        direction: pair.direction,
+                        weight,
+                    });
                 }
             }
         }
@@ -379,14 +447,20 @@ impl Map {
 
     fn collect_matches(&mut self, first: usize, second: usize) {
         self.matches.clear();
-        let (a, b) = (&self.window.views()[first].sightings, &self.window.views()[second].sightings);
+        let (a, b) = (
+            &self.window.views()[first].sightings,
+            &self.window.views()[second].sightings,
+        );
         let mut k = 0;
         for sighting in a {
             while k < b.len() && b[k].track < sighting.track {
                 k += 1;
             }
             if k < b.len() && b[k].track == sighting.track {
-                self.matches.push(Match { first: sighting.bearing(), second: b[k].bearing() });
+                self.matches.push(Match {
+                    first: sighting.bearing(),
+                    second: b[k].bearing(),
+                });
             }
         }
     }
@@ -398,8 +472,10 @@ impl Map {
         rotations: &[UnitQuaternion<f64>],
     ) -> heapless::Vec<Vector3<f64>, WINDOW_VIEWS> {
         let views = self.window.views();
-        let mut positions: heapless::Vec<Vector3<f64>, WINDOW_VIEWS> =
-            views.iter().map(|v| v.world_from_camera.translation.vector).collect();
+        let mut positions: heapless::Vec<Vector3<f64>, WINDOW_VIEWS> = views
+            .iter()
+            .map(|v| v.world_from_camera.translation.vector)
+            .collect();
         let in_world: heapless::Vec<DirectionEdge, EDGES> = graph
             .directions
             .iter()
@@ -413,13 +489,21 @@ impl Map {
         let mut steps: heapless::Vec<StepEdge, WINDOW_VIEWS> = heapless::Vec::new();
         for second in held..views.len() {
             let first = second - 1;
-            let offset = rotations[second] * self.rig.rear_in_camera - rotations[first] * self.rig.rear_in_camera;
+            let offset =
+                rotations[second] * self.rig.rear_in_camera - rotations[first] * self.rig.rear_in_camera;
             let tracked_m = self.rig.step_m(&Pose::identity(), &views[second].tracked_step);
-            let (length_m, sigma_m) = views[second].wheel_step.map_or(
-                (tracked_m, TRACKED_STEP_SIGMA * tracked_m + 0.05),
-                |wheel| (wheel.chord_m, wheel_sigma_m(wheel.chord_m)),
-            );
-            let _ = steps.push(StepEdge { first, second, offset, length_m, sigma_m });
+            let (length_m, sigma_m) = views[second]
+                .wheel_step
+                .map_or((tracked_m, TRACKED_STEP_SIGMA * tracked_m + 0.05), |wheel| {
+                    (wheel.chord_m, wheel_sigma_m(wheel.chord_m))
+                });
+            let _ = steps.push(StepEdge {
+                first,
+                second,
+                offset,
+                length_m,
+                sigma_m,
+            });
         }
         average_translations(&in_world, &steps, held, &mut positions);
         positions
@@ -436,7 +520,9 @@ impl Map {
                 }
                 let point = &self.window.points[usize::from(sighting.point)];
                 let agrees = !point.located
-                    || sighting.error_px(&(camera_from_world * point.point_in_world)).is_some_and(|e| e < START_GATE_PX);
+                    || sighting
+                        .error_px(&(camera_from_world * point.point_in_world))
+                        .is_some_and(|e| e < START_GATE_PX);
                 self.window.views_mut()[v].sightings[s].agrees = agrees;
             }
         }
@@ -540,7 +626,10 @@ mod tests {
             true_along += (truth(key) - truth(key - 1)).norm();
         }
         let last = found.len() - 1;
-        (along / true_along, (found[last].translation.vector - truth(last)).norm() / true_along)
+        (
+            along / true_along,
+            (found[last].translation.vector - truth(last)).norm() / true_along,
+        )
     }
 
     #[test]
@@ -560,12 +649,20 @@ mod tests {
     fn slip_is_noticed_and_the_scale_held() {
         for ratio in [1.3, 0.0] {
             let mut street = Street::new(6, 72);
-            street.fault = Some(WheelFault { from: 32, until: 40, ratio });
+            street.fault = Some(WheelFault {
+                from: 32,
+                until: 40,
+                ratio,
+            });
             let mut map = map();
             let found = street.drive(&mut map, 72);
             let (scale, _) = scale_and_drift(&street, &found);
             assert!((scale - 1.0).abs() < 0.01, "ratio {ratio}: scale {scale}");
-            assert!((8..=9).contains(&map.rejected_wheel_steps()), "ratio {ratio}: {}", map.rejected_wheel_steps());
+            assert!(
+                (8..=9).contains(&map.rejected_wheel_steps()),
+                "ratio {ratio}: {}",
+                map.rejected_wheel_steps()
+            );
             assert_eq!(map.scale_state(), ScaleState::Wheels);
         }
     }
@@ -573,7 +670,11 @@ mod tests {
     #[test]
     fn stuck_encoder_leaves_the_scale_held() {
         let mut street = Street::new(7, 72);
-        street.fault = Some(WheelFault { from: 32, until: 72, ratio: 0.0 });
+        street.fault = Some(WheelFault {
+            from: 32,
+            until: 72,
+            ratio: 0.0,
+        });
         let mut map = map();
         let found = street.drive(&mut map, 72);
         assert_eq!(map.scale_state(), ScaleState::Held);

@@ -7,7 +7,10 @@
 //! reweighting on so(3), for the motion averaging of Robust SLAM.
 
 use nalgebra::{UnitQuaternion, Vector3};
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 use super::dense::solve_cholesky;
@@ -31,7 +34,11 @@ pub(super) struct RotationEdge {
 }
 
 /// Improves `world_from_view[held..]` in place.
-pub(super) fn average_rotations(edges: &[RotationEdge], held: usize, world_from_view: &mut [UnitQuaternion<f64>]) {
+pub(super) fn average_rotations(
+    edges: &[RotationEdge],
+    held: usize,
+    world_from_view: &mut [UnitQuaternion<f64>],
+) {
     let n = world_from_view.len().saturating_sub(held);
     if n == 0 || n > WINDOW_VIEWS {
         return;

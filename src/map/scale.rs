@@ -2,16 +2,20 @@
 //!
 //! In: for each pair of neighbouring views, what the wheels and what the landmarks (already metric) say of the rear axle's step.
 //! Out: whether the wheel distance enters the map. A wheel that slips, blocks or sticks disagrees with the landmarks and is left
-//! out; the scale is then held by the landmarks. Wheels that disagree by the same ratio for [`RELOCK_STEPS`] steps are right and
-//! the map is not: it is rescaled. Constant cost.
+//! out; the scale is then held by the landmarks. Wheels that disagree by the same ratio for [`RELOCK_STEPS`] steps
+//! are right and the map is not: it is rescaled. Constant cost.
 
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 use crate::health::ScaleState;
 
-/// Disagreement that is noticed: a share of the step, some centimetres, and what the picture itself may err.
-const TOLERANCE: f64 = 0.06;
+/// Disagreement that is noticed: a share of the step, some centimetres, and what the picture itself may err. On KITTI 03 at
+/// 1.4 m a view a picture that drifts in a turn is 9 % off while the wheels are right; less must pull the map back.
+const TOLERANCE: f64 = 0.12;
 const TOLERANCE_M: f64 = 0.03;
 const TOLERANCE_SIGMA: f64 = 3.0;
 /// A picture this vague about a step cannot judge the wheels.
@@ -19,7 +23,7 @@ const VAGUE: f64 = 0.1;
 /// Steps (about 1.2 m each) with one and the same ratio until the map gives in.
 const RELOCK_STEPS: u32 = 10;
 /// Spread of that ratio, as a share.
-const RELOCK_SPREAD: f64 = 0.04;
+const RELOCK_SPREAD: f64 = 0.05;
 /// Ratios beyond are faults of the encoder, whatever their spread.
 const RELOCK_RATIO: core::ops::Range<f64> = 0.4..2.5;
 /// Share of a new ratio in the running mean.
@@ -51,7 +55,13 @@ pub(super) struct ScaleMonitor {
 
 impl ScaleMonitor {
     pub(super) const fn new() -> Self {
-        Self { state: ScaleState::Held, rejected: 0, wheel_over_visual: 1.0, disagreeing: 0, ratio_mean: 1.0 }
+        Self {
+            state: ScaleState::Held,
+            rejected: 0,
+            wheel_over_visual: 1.0,
+            disagreeing: 0,
+            ratio_mean: 1.0,
+        }
     }
 
     /// Running mean of wheel distance over visual distance.
@@ -60,10 +70,12 @@ impl ScaleMonitor {
     }
 
     pub(super) fn judge(&mut self, wheel_m: f64, visual: Option<VisualStep>) -> Verdict {
-        let Some(visual) = visual.filter(|v| v.sigma_m < VAGUE * v.length_m.max(wheel_m) + TOLERANCE_M) else {
+        let Some(visual) = visual.filter(|v| v.sigma_m < VAGUE * v.length_m.max(wheel_m) + TOLERANCE_M)
+        else {
             return self.believe();
         };
-        let tolerance = TOLERANCE * visual.length_m.max(wheel_m) + TOLERANCE_M + TOLERANCE_SIGMA * visual.sigma_m;
+        let tolerance =
+            TOLERANCE * visual.length_m.max(wheel_m) + TOLERANCE_M + TOLERANCE_SIGMA * visual.sigma_m;
         let ratio = wheel_m / visual.length_m.max(1e-3);
         if (wheel_m - visual.length_m).abs() <= tolerance {
             if visual.length_m > 10.0 * TOLERANCE_M {
@@ -100,7 +112,10 @@ impl ScaleMonitor {
 mod tests {
     use super::*;
 
-    const SEEN: Option<VisualStep> = Some(VisualStep { length_m: 1.2, sigma_m: 0.01 });
+    const SEEN: Option<VisualStep> = Some(VisualStep {
+        length_m: 1.2,
+        sigma_m: 0.01,
+    });
 
     #[test]
     fn slip_and_stuck_are_rejected_and_noise_is_not() {
@@ -117,14 +132,18 @@ mod tests {
 
     #[test]
     fn wheels_are_believed_where_the_picture_is_vague() {
-        let vague = Some(VisualStep { length_m: 1.2, sigma_m: 0.5 });
+        let vague = Some(VisualStep {
+            length_m: 1.2,
+            sigma_m: 0.5,
+        });
         assert_eq!(ScaleMonitor::new().judge(0.9, vague), Verdict::Believe);
     }
 
     #[test]
     fn steady_disagreement_rescales_the_map() {
         let mut monitor = ScaleMonitor::new();
-        let verdicts: [Verdict; 10] = core::array::from_fn(|k| monitor.judge(1.5 + 0.01 * f64::from(k as u32 % 2), SEEN));
+        let verdicts: [Verdict; 10] =
+            core::array::from_fn(|k| monitor.judge(1.5 + 0.01 * f64::from(k as u32 % 2), SEEN));
         assert!(verdicts[..9].iter().all(|v| *v == Verdict::Reject));
         assert!(matches!(verdicts[9], Verdict::Relock(r) if (r - 1.254).abs() < 0.01));
     }

@@ -1,6 +1,11 @@
 //! A synthetic street for the map's tests: road, house fronts on both sides, bends, and a tracker that errs as real ones do.
 
-#![allow(clippy::unwrap_used, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "tests"
+)]
 
 use alloc::vec::Vec;
 
@@ -21,7 +26,14 @@ pub(super) fn camera() -> Camera {
         lens: Lens::pinhole(FOCAL_PX, FOCAL_PX, 620.0, 187.0),
         width: 1242,
         height: 375,
-        mount: Mount { height_m: 1.65, ahead_m: 1.7, left_m: 0.0, pitch_rad: 0.01, yaw_rad: 0.0, roll_rad: 0.0 },
+        mount: Mount {
+            height_m: 1.65,
+            ahead_m: 1.7,
+            left_m: 0.0,
+            pitch_rad: 0.01,
+            yaw_rad: 0.0,
+            roll_rad: 0.0,
+        },
     }
 }
 
@@ -68,13 +80,24 @@ impl Street {
                 60..80 => -0.039,
                 _ => 0.0,
             };
-            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.004 * (k as f64 * 0.7).sin(), bend));
+            let turn =
+                UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.004 * (k as f64 * 0.7).sin(), bend));
             // The rear axle moves along the mean heading.
             let heading = UnitQuaternion::from_scaled_axis(turn.scaled_axis() * 0.5);
-            pose = Pose::from_parts((pose.translation.vector + pose.rotation * (heading * Vector3::new(STEP_M, 0.0, 0.0))).into(), pose.rotation * turn);
+            pose = Pose::from_parts(
+                (pose.translation.vector + pose.rotation * (heading * Vector3::new(STEP_M, 0.0, 0.0))).into(),
+                pose.rotation * turn,
+            );
         }
         let wrong = points.iter().map(|_| random.unit() < 0.05).collect();
-        Self { random, truth, points, wrong, fault: None, has_wheels: true }
+        Self {
+            random,
+            truth,
+            points,
+            wrong,
+            fault: None,
+            has_wheels: true,
+        }
     }
 
     fn gauss(&mut self) -> f64 {
@@ -92,7 +115,9 @@ impl Street {
             if in_camera.z < 2.0 || in_camera.z > SIGHT_M {
                 continue;
             }
-            let Some(pixel) = camera().lens.project(&in_camera.coords) else { continue };
+            let Some(pixel) = camera().lens.project(&in_camera.coords) else {
+                continue;
+            };
             if !(0.0..1242.0).contains(&pixel.x) || !(0.0..375.0).contains(&pixel.y) {
                 continue;
             }
@@ -106,7 +131,10 @@ impl Street {
             if self.random.unit() < 0.05 {
                 noisy += Vector2::new(self.gauss(), self.gauss()) * 20.0;
             }
-            let observation = Observation { track, pixel: noisy.cast() };
+            let observation = Observation {
+                track,
+                pixel: noisy.cast(),
+            };
             if view.observations.push(observation).is_err() {
                 break;
             }
@@ -123,11 +151,19 @@ impl Street {
         for k in 0..views {
             if k > 0 {
                 let step = self.world_from_camera(k - 1).inverse() * self.world_from_camera(k);
-                let noise = UnitQuaternion::from_scaled_axis(Vector3::new(self.gauss(), self.gauss(), self.gauss()) * 0.002);
+                let noise = UnitQuaternion::from_scaled_axis(
+                    Vector3::new(self.gauss(), self.gauss(), self.gauss()) * 0.002,
+                );
                 let length = 1.0 + 0.01 * self.gauss();
                 tracked *= Pose::from_parts((step.translation.vector * length).into(), step.rotation * noise);
-                let wheel = (self.truth[k - 1].inverse() * self.truth[k]).translation.vector.norm();
-                let fault = self.fault.filter(|f| (f.from..f.until).contains(&k)).map_or(1.0, |f| f.ratio);
+                let wheel = (self.truth[k - 1].inverse() * self.truth[k])
+                    .translation
+                    .vector
+                    .norm();
+                let fault = self
+                    .fault
+                    .filter(|f| (f.from..f.until).contains(&k))
+                    .map_or(1.0, |f| f.ratio);
                 travel.distance_m += wheel * fault * (1.0 + 0.003 * self.gauss());
             }
             let mut view = View {

@@ -6,7 +6,10 @@
 //! Source: Hartley and Sturm, *Triangulation* (1997): least squares of the distances to the rays, then of the image errors.
 
 use nalgebra::{Matrix2x3, Matrix3, Point3, Vector2, Vector3};
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 use super::window::{Entry, MIN_DEPTH_M, Sighting, Window};
@@ -28,7 +31,10 @@ pub(super) struct Triangulated {
 }
 
 /// Residual in pixels of a point in camera space and its derivative by that point; none behind the camera.
-pub(super) fn reprojection(sighting: &Sighting, in_camera: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+pub(super) fn reprojection(
+    sighting: &Sighting,
+    in_camera: &Vector3<f64>,
+) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
     if !(in_camera.z > MIN_DEPTH_M) {
         return None;
     }
@@ -89,7 +95,10 @@ pub(super) fn triangulate(window: &Window, entries: &[Entry]) -> Option<Triangul
     }
     let (_, latest) = rays().last()?;
     let depth_sigma_m = depth_sigma(&information, &(point - latest.translation.vector))?;
-    Some(Triangulated { point_in_world: Point3::from(point), depth_sigma_m })
+    Some(Triangulated {
+        point_in_world: Point3::from(point),
+        depth_sigma_m,
+    })
 }
 
 /// Standard deviation along a ray, from the information of the residuals in pixels.
@@ -102,7 +111,11 @@ pub(super) fn depth_sigma(information: &Matrix3<f64>, ray: &Vector3<f64>) -> Opt
 /// The largest angle of a ray with the first or the last one.
 fn parallax<'a>(rays: impl Iterator<Item = (&'a Sighting, &'a Pose)> + Clone) -> f64 {
     let world = |(sighting, pose): (&Sighting, &Pose)| (pose.rotation * sighting.bearing()).normalize();
-    let Some(first) = rays.clone().next().map(world) else { return 0.0 };
+    let Some(first) = rays.clone().next().map(world) else {
+        return 0.0;
+    };
     let last = rays.clone().last().map_or(first, world);
-    rays.map(world).map(|ray| ray.cross(&first).norm().max(ray.cross(&last).norm())).fold(0.0, f64::max)
+    rays.map(world)
+        .map(|ray| ray.cross(&first).norm().max(ray.cross(&last).norm()))
+        .fold(0.0, f64::max)
 }

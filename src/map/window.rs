@@ -4,12 +4,18 @@
 //! sightings of each point, oldest view first. All storage is reserved by [`Window::new`]. When the window is full the oldest views
 //! leave; when the points are full, new tracks are not taken in and counted. Linking costs one merge of both orders a view.
 
-#![allow(clippy::cast_possible_truncation, reason = "indices are bounded by MAX_POINTS and MAX_TRACKS")]
+#![allow(
+    clippy::cast_possible_truncation,
+    reason = "indices are bounded by MAX_POINTS and MAX_TRACKS"
+)]
 
 use alloc::vec::Vec;
 
 use nalgebra::{Point3, Vector3};
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 use super::View;
@@ -47,7 +53,10 @@ impl Sighting {
     /// Reprojection error in pixels of a point in camera space; none behind the camera.
     pub(super) fn error_px(&self, in_camera: &Point3<f64>) -> Option<f64> {
         (in_camera.z > MIN_DEPTH_M).then(|| {
-            let (dx, dy) = (in_camera.x / in_camera.z - self.x, in_camera.y / in_camera.z - self.y);
+            let (dx, dy) = (
+                in_camera.x / in_camera.z - self.x,
+                in_camera.y / in_camera.z - self.y,
+            );
             self.scale_px * dx.hypot(dy)
         })
     }
@@ -148,24 +157,42 @@ impl Window {
 
     /// Takes a view in at `world_from_camera`; rays are computed here, once. Out-of-order and useless observations are left out.
     pub(super) fn push(&mut self, view: &View, world_from_camera: Pose, tracked_step: Pose, camera: &Camera) {
-        let Some(slot) = self.views.get_mut(self.len) else { return };
+        let Some(slot) = self.views.get_mut(self.len) else {
+            return;
+        };
         self.len += 1;
         slot.stamp = view.stamp;
-        slot.tracked = if is_finite(&view.world_from_camera) { view.world_from_camera } else { world_from_camera };
+        slot.tracked = if is_finite(&view.world_from_camera) {
+            view.world_from_camera
+        } else {
+            world_from_camera
+        };
         slot.tracked_step = tracked_step;
         slot.world_from_camera = world_from_camera;
-        slot.travel = view.travel.filter(|t| t.distance_m.is_finite() && t.heading_rad.is_finite());
+        slot.travel = view
+            .travel
+            .filter(|t| t.distance_m.is_finite() && t.heading_rad.is_finite());
         slot.wheel_step = None;
         slot.sightings.clear();
         for observation in &view.observations {
-            if slot.sightings.last().is_some_and(|last| last.track >= observation.track) {
+            if slot
+                .sightings
+                .last()
+                .is_some_and(|last| last.track >= observation.track)
+            {
                 continue;
             }
             let pixel = observation.pixel.cast::<f64>();
             if !(pixel.x.is_finite() && pixel.y.is_finite()) {
                 continue;
             }
-            let Some(ray) = camera.lens.unproject(&pixel).filter(|ray| ray.z > MIN_AXIS_COSINE) else { continue };
+            let Some(ray) = camera
+                .lens
+                .unproject(&pixel)
+                .filter(|ray| ray.z > MIN_AXIS_COSINE)
+            else {
+                continue;
+            };
             let scale_px = match camera.lens {
                 Lens::BrownConrady(_) => camera.lens.focal_px(),
                 // An equidistant lens has its pixels evenly over the angle, not over its tangent.
@@ -205,7 +232,10 @@ impl Window {
             for (s, sighting) in view.sightings.iter().enumerate() {
                 if sighting.point != NO_POINT {
                     let place = &mut self.offsets[usize::from(sighting.point)];
-                    self.entries[*place as usize] = Entry { view: v as u8, sighting: s as u16 };
+                    self.entries[*place as usize] = Entry {
+                        view: v as u8,
+                        sighting: s as u16,
+                    };
                     *place += 1;
                 }
             }
@@ -265,7 +295,11 @@ impl Window {
 
     /// The sightings of a point, oldest view first.
     pub(super) fn entries_of(&self, point: usize) -> &[Entry] {
-        let start = if point == 0 { 0 } else { self.offsets[point - 1] as usize };
+        let start = if point == 0 {
+            0
+        } else {
+            self.offsets[point - 1] as usize
+        };
         &self.entries[start..self.offsets[point] as usize]
     }
 
@@ -279,5 +313,9 @@ impl Window {
 }
 
 pub(super) fn is_finite(pose: &Pose) -> bool {
-    pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite())
+    pose.translation
+        .vector
+        .iter()
+        .chain(pose.rotation.coords.iter())
+        .all(|x| x.is_finite())
 }

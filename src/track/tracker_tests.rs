@@ -12,6 +12,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 use super::rolling::Rolling;
 use super::{FrameEstimate, TrackConfig, Tracker, Travel};
 use crate::frame::{Camera, FrameStage, Lens, PixelFormat, RawFrame};
+use crate::health::TrackingState;
 use crate::map::{MapUpdate, View};
 use crate::space::{Micros, Mount, Pose};
 
