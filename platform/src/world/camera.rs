@@ -20,7 +20,7 @@ use super::light::lit;
 use super::noise::{floor, hash, wave};
 use super::raster::{DepthBuffer, Extent, Frame, View, nearest_m};
 use super::scene::{NEAR_M, Scene};
-use super::shape::Part;
+use super::shape::{Part, Seen};
 use super::truth::Label;
 
 /// Side of the window of ground whose road coordinates are kept, in metres and nodes.
@@ -337,7 +337,7 @@ impl SimCamera {
                 (rgb, label, meeting.distance)
             } else if self.buffer.part[i] > 0 {
                 let part = part_at(world, &self.movers, self.buffer.part[i] - 1);
-                let rgb = match part.meet(view.origin, ray, f32::MAX, &world.textures) {
+                let rgb = match Seen::new(part, view.origin).meet(ray, f32::MAX, &world.textures) {
                     Some(hit) => lit(part, &hit, style, &world.textures, pixel_rad),
                     None => part.rgb,
                 };
@@ -350,7 +350,8 @@ impl SimCamera {
                 continue;
             };
             let haze = distance / (distance + 1.4 * style.haze_m);
-            let hazed = [0, 1, 2].map(|k| rgb[k] + haze * (0.8 * style.horizon_rgb[k] - rgb[k]));
+            let veil = |k: usize| rgb[k] + haze * (0.8 * style.horizon_rgb[k] - rgb[k]);
+            let hazed = [veil(0), veil(1), veil(2)];
             self.emit(i, hazed, to_tone);
             self.labels[i] = label;
             self.depth_m[i] = distance * self.rays[i][2];
@@ -412,11 +413,13 @@ fn decals(parts: &[Part], moves: bool, sun: [f32; 3], out: &mut Vec<Decal>) {
         return;
     }
     let turn = [first.sin, first.cos];
-    let ground = [first.base[0], first.base[1], 0.0];
+    let floor = parts.iter().map(|p| p.base[2]).fold(f32::MAX, f32::min);
+    let floor = if floor < 0.3 { floor } else { 0.0 };
+    let ground = [first.base[0], first.base[1], floor];
     out.push(Decal { base: ground, turn, half: first.half, soft: if living { 0.15 } else { 0.3 }, hides: [0.75, 0.9] });
     if moves {
         let away = 0.55 / sun[2];
-        let base = [ground[0] - sun[0] * away, ground[1] - sun[1] * away, 0.0];
+        let base = [ground[0] - sun[0] * away, ground[1] - sun[1] * away, floor];
         out.push(Decal { base, turn, half: first.half, soft: 0.2, hides: [0.0, 1.0] });
     }
 }
@@ -427,7 +430,7 @@ impl Decal {
         if ray[2] > -1e-4 {
             return;
         }
-        let distance = -view.origin[2] / ray[2];
+        let distance = (self.base[2] - view.origin[2]) / ray[2];
         let dx = view.origin[0] + distance * ray[0] - self.base[0];
         let dy = view.origin[1] + distance * ray[1] - self.base[1];
         let [sin, cos] = self.turn;
@@ -513,6 +516,7 @@ impl Meeting {
             sun = world.shadow.sunlight(&world.textures, s, d, foot) * (1.0 - f32::from(hidden[1]) * (1.0 / 255.0));
             sun *= style.sun[2];
         }
-        ([0, 1, 2].map(|k| rgb[k] * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k])), label as u8)
+        let lit = |k: usize| rgb[k] * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k]);
+        ([lit(0), lit(1), lit(2)], label as u8)
     }
 }

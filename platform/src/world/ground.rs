@@ -62,12 +62,13 @@ fn covered(at: f32, width: f32, low: f32, high: f32) -> f32 {
 
 #[inline]
 fn scaled(rgb: [f32; 3], by: f32) -> [f32; 3] {
-    rgb.map(|c| c * by)
+    [rgb[0] * by, rgb[1] * by, rgb[2] * by]
 }
 
 #[inline]
 fn mix(a: [f32; 3], b: [f32; 3], share: f32) -> [f32; 3] {
-    [0, 1, 2].map(|k| a[k] + (b[k] - a[k]) * share)
+    let at = |k: usize| a[k] + (b[k] - a[k]) * share;
+    [at(0), at(1), at(2)]
 }
 
 impl Ground {

@@ -18,6 +18,8 @@ mod shadow;
 mod shape;
 mod style;
 mod texture;
+#[cfg(test)]
+mod tests;
 mod truth;
 mod wheels;
 

@@ -14,7 +14,7 @@ use freespace::frame::Lens;
 use freespace::space::Pose;
 use nalgebra::Vector3;
 
-use super::shape::{Part, Shape};
+use super::shape::{Part, Seen, Shape};
 use super::texture::Textures;
 
 const NEAR_PLANE_M: f32 = 0.15;
@@ -41,7 +41,9 @@ impl View {
     }
 
     pub(super) fn to_world(self, ray: [f32; 3]) -> [f32; 3] {
-        [0, 1, 2].map(|i| self.axes[0][i] * ray[0] + self.axes[1][i] * ray[1] + self.axes[2][i] * ray[2])
+        let [a, b, c] = &self.axes;
+        let along = |i: usize| a[i] * ray[0] + b[i] * ray[1] + c[i] * ray[2];
+        [along(0), along(1), along(2)]
     }
 }
 
@@ -162,6 +164,7 @@ impl DepthBuffer {
         let half = part.half_extent();
         let Some(bounds) = frame.bounds(view, part.base, [part.sin, part.cos], half, part.top()) else { return };
         let nearest = nearest_m(part, view.origin);
+        let seen = Seen::new(part, view.origin);
         for y in bounds.y[0]..bounds.y[1] {
             let row = y * frame.width;
             for i in row + bounds.x[0]..row + bounds.x[1] {
@@ -169,8 +172,8 @@ impl DepthBuffer {
                 if limit <= nearest {
                     continue;
                 }
-                if let Some(hit) = part.meet(view.origin, rays[i], limit, textures) {
-                    self.distance[i] = hit.distance;
+                if let Some(distance) = seen.distance(rays[i], limit, textures) {
+                    self.distance[i] = distance;
                     self.part[i] = id;
                 }
             }

@@ -43,10 +43,10 @@ struct Section {
 
 /// A side street: where its middle meets the road, half its width, and on which side (0 left, 1 right).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SideStreet {
-    pub(super) s: f32,
-    pub(super) half: f32,
-    pub(super) side: usize,
+struct SideStreet {
+    s: f32,
+    half: f32,
+    side: usize,
 }
 
 /// Centre line and edges.
@@ -56,7 +56,6 @@ pub(super) struct Road {
     sections: Vec<Section>,
     s_by_x: Vec<f32>,
     x0: f64,
-    pub(super) streets: Vec<SideStreet>,
 }
 
 impl Road {
@@ -79,7 +78,7 @@ impl Road {
             }
             s_by_x.push((i as f64 * STEP_M - BEHIND_M) as f32);
         }
-        Self { samples, sections, s_by_x, x0, streets }
+        Self { samples, sections, s_by_x, x0 }
     }
 
     /// Position and heading of the centre line.

@@ -13,7 +13,7 @@ use super::ground::Footprint;
 use super::noise::smoothstep;
 use super::road::{BEHIND_M, BEYOND_M, Road};
 use super::scene::Scene;
-use super::shape::{Material, Part};
+use super::shape::{Material, Part, Seen};
 use super::texture::{Textures, level};
 
 const CELL_M: f32 = 0.25;
@@ -64,7 +64,7 @@ impl Shadow {
                 let d = (column as f32 + 0.5) * CELL_M - REACH_M;
                 let origin = [x as f32 - d * sin, y as f32 + d * cos, 0.0];
                 let cell = &mut self.cells[row * COLUMNS + column][channel];
-                if *cell < 255 && part.meet(origin, sun, f32::MAX, textures).is_some() {
+                if *cell < 255 && Seen::new(part, origin).distance(sun, f32::MAX, textures).is_some() {
                     *cell = 255;
                 }
             }

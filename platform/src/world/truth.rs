@@ -14,7 +14,7 @@ use nalgebra::Point3;
 
 use super::World;
 use super::scene::{NEAR_M, Scene};
-use super::shape::{Part, Shape};
+use super::shape::{Part, Seen, Shape};
 
 /// What a pixel shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,7 +118,7 @@ impl World {
                 for object in &near {
                     if object.iter().any(|part| stands_on(part, target)) {
                         taken = true;
-                    } else if object.iter().any(|part| part.meet(origin, ray, far - 0.01, &self.textures).is_some()) {
+                    } else if object.iter().any(|part| Seen::new(part, origin).distance(ray, far - 0.01, &self.textures).is_some()) {
                         seen = false;
                         break;
                     }
