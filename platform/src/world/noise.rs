@@ -71,7 +71,11 @@ pub(super) fn floor(x: f32) -> i32 {
 }
 
 /// Value noise of one dimension in `[-1, 1]`, cubic between whole numbers.
-#[expect(clippy::cast_sign_loss, clippy::cast_precision_loss, reason = "lattice indices wrap into the hash")]
+#[expect(
+    clippy::cast_sign_loss,
+    clippy::cast_precision_loss,
+    reason = "lattice indices wrap into the hash"
+)]
 pub(super) fn wave(seed: u32, x: f32) -> f32 {
     let cell = floor(x);
     let f = x - cell as f32;

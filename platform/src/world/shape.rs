@@ -83,7 +83,11 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 #[inline]
 fn along(from: [f32; 3], ray: [f32; 3], distance: f32) -> [f32; 3] {
-    [from[0] + distance * ray[0], from[1] + distance * ray[1], from[2] + distance * ray[2]]
+    [
+        from[0] + distance * ray[0],
+        from[1] + distance * ray[1],
+        from[2] + distance * ray[2],
+    ]
 }
 
 impl<'a> Seen<'a> {
@@ -95,7 +99,14 @@ impl<'a> Seen<'a> {
             dy * part.cos - dx * part.sin,
             origin[2] - part.base[2],
         ];
-        let mut seen = Self { part, eye, planes: [([0.0; 3], 0.0); 6], facing: 0, inverse: [0.0; 3], unit_eye: [0.0; 3] };
+        let mut seen = Self {
+            part,
+            eye,
+            planes: [([0.0; 3], 0.0); 6],
+            facing: 0,
+            inverse: [0.0; 3],
+            unit_eye: [0.0; 3],
+        };
         match part.shape {
             Shape::Frustum => seen.sort_planes(),
             Shape::Ellipsoid => {
@@ -135,7 +146,11 @@ impl<'a> Seen<'a> {
     #[inline]
     fn turned(&self, ray: [f32; 3]) -> [f32; 3] {
         let part = self.part;
-        [ray[0] * part.cos + ray[1] * part.sin, ray[1] * part.cos - ray[0] * part.sin, ray[2]]
+        [
+            ray[0] * part.cos + ray[1] * part.sin,
+            ray[1] * part.cos - ray[0] * part.sin,
+            ray[2],
+        ]
     }
 
     /// Distance along the unit `ray` at which the part is met before `limit`.
@@ -158,15 +173,27 @@ impl<'a> Seen<'a> {
                 let (distance, face) = self.frustum(r, limit)?;
                 let n = self.planes[face].0;
                 let scale = 1.0 / dot(n, n).sqrt();
-                Some(Hit { distance, point: along(self.eye, r, distance), normal: n.map(|c| c * scale) })
+                Some(Hit {
+                    distance,
+                    point: along(self.eye, r, distance),
+                    normal: n.map(|c| c * scale),
+                })
             }
             Shape::Ellipsoid => {
                 let distance = self.ellipsoid(r, limit, textures)?;
-                Some(Hit { distance, point: along(self.eye, r, distance), normal: self.ellipsoid_normal(r, distance) })
+                Some(Hit {
+                    distance,
+                    point: along(self.eye, r, distance),
+                    normal: self.ellipsoid_normal(r, distance),
+                })
             }
             Shape::Post | Shape::Wheel => {
                 let (distance, normal) = self.cylinder(r, limit)?;
-                Some(Hit { distance, point: along(self.eye, r, distance), normal })
+                Some(Hit {
+                    distance,
+                    point: along(self.eye, r, distance),
+                    normal,
+                })
             }
         }
     }
@@ -189,7 +216,9 @@ impl<'a> Seen<'a> {
         if near <= 1e-3 || near >= limit {
             return None;
         }
-        let inside = self.planes[self.facing..].iter().all(|(normal, height)| height + near * dot(*normal, r) <= 0.0);
+        let inside = self.planes[self.facing..]
+            .iter()
+            .all(|(normal, height)| height + near * dot(*normal, r) <= 0.0);
         inside.then_some((near, face))
     }
 
@@ -219,7 +248,9 @@ impl<'a> Seen<'a> {
         if self.part.material == Material::Foliage && under < 0.7 * a {
             let depth = under / a;
             let (fine, coarse) = (level(distance * 0.06), level(distance * 0.012));
-            let (u, v) = self.part.foliage_texel(along(self.eye, r, distance), self.ellipsoid_normal(r, distance));
+            let (u, v) = self
+                .part
+                .foliage_texel(along(self.eye, r, distance), self.ellipsoid_normal(r, distance));
             let leaves = textures.leaves.sample(u, v, fine, fine);
             let clumps = textures.leaves.sample(0.2 * u, 0.2 * v, coarse, coarse);
             if 0.35 * leaves + 0.5 * clumps + 0.3 > depth * 1.7 {
@@ -252,7 +283,10 @@ impl<'a> Seen<'a> {
         }
         let at = (-b - under.sqrt()) / a;
         if at > 1e-3 && at < limit && (o[2] + at * r[2]).abs() <= half {
-            return Some((at, back([(o[0] + at * r[0]) / radius, (o[1] + at * r[1]) / radius, 0.0])));
+            return Some((
+                at,
+                back([(o[0] + at * r[0]) / radius, (o[1] + at * r[1]) / radius, 0.0]),
+            ));
         }
         if r[2].abs() < 1e-9 {
             return None;
@@ -289,6 +323,10 @@ impl Part {
 
     /// Height of the part's top over its base.
     pub(super) fn top(&self) -> f32 {
-        if self.shape == Shape::Wheel { 2.0 * self.half[0] } else { self.height }
+        if self.shape == Shape::Wheel {
+            2.0 * self.half[0]
+        } else {
+            self.height
+        }
     }
 }

@@ -21,7 +21,12 @@ fn textures() -> &'static Arc<Textures> {
 }
 
 fn world(seed: u64, kind: Kind) -> World {
-    let config = WorldConfig { seed, kind: Some(kind), length_m: 200.0, ..WorldConfig::default() };
+    let config = WorldConfig {
+        seed,
+        kind: Some(kind),
+        length_m: 200.0,
+        ..WorldConfig::default()
+    };
     World::new(&config, textures())
 }
 
@@ -37,7 +42,14 @@ fn camera() -> Camera {
         }),
         width: 320,
         height: 240,
-        mount: Mount { height_m: 1.5, ahead_m: 1.2, left_m: 0.1, pitch_rad: 0.03, yaw_rad: 0.02, roll_rad: 0.01 },
+        mount: Mount {
+            height_m: 1.5,
+            ahead_m: 1.2,
+            left_m: 0.1,
+            pitch_rad: 0.03,
+            yaw_rad: 0.02,
+            roll_rad: 0.01,
+        },
     }
 }
 
@@ -86,7 +98,11 @@ fn depth_and_pose_reproject_between_frames() {
     let mut sim = SimCamera::new(&camera, &clean());
     let mut first = RgbImage::new(320, 240);
     sim.render(&world, 3.0, &mut first);
-    let (depth, labels, pose) = (sim.depth_m().to_vec(), sim.labels().to_vec(), *sim.world_from_camera());
+    let (depth, labels, pose) = (
+        sim.depth_m().to_vec(),
+        sim.labels().to_vec(),
+        *sim.world_from_camera(),
+    );
     let mut second = RgbImage::new(320, 240);
     sim.render(&world, 3.1, &mut second);
     let second_from_first = sim.world_from_camera().inverse() * pose;
@@ -99,7 +115,9 @@ fn depth_and_pose_reproject_between_frames() {
         let pixel = Vector2::new((i % 320) as f64, (i / 320) as f64);
         let ray = camera.lens.unproject(&pixel).unwrap();
         let point = second_from_first * Point3::from(ray * (f64::from(depth[i]) / ray.z));
-        let Some(seen) = camera.lens.project(&point.coords) else { continue };
+        let Some(seen) = camera.lens.project(&point.coords) else {
+            continue;
+        };
         if !(0.0..319.0).contains(&seen.x) || !(0.0..239.0).contains(&seen.y) {
             continue;
         }
@@ -114,14 +132,28 @@ fn depth_and_pose_reproject_between_frames() {
         error += (green(&first, i) - green(&second, j)).abs();
         mismatch += (green(&first, i) - green(&second, i)).abs();
     }
-    assert!(count > 3000.0 && moved / count > 3.0, "{count} points moved {}", moved / count);
+    assert!(
+        count > 3000.0 && moved / count > 3.0,
+        "{count} points moved {}",
+        moved / count
+    );
     assert!(same_label / count > 0.99);
-    assert!(error / count < 0.75 * mismatch / count, "{} against {} unmoved", error / count, mismatch / count);
+    assert!(
+        error / count < 0.75 * mismatch / count,
+        "{} against {} unmoved",
+        error / count,
+        mismatch / count
+    );
 }
 
 #[test]
 fn road_labels_lie_on_the_plane() {
-    for (seed, kind) in [(1, Kind::Residential), (2, Kind::Urban), (3, Kind::Rural), (4, Kind::Highway)] {
+    for (seed, kind) in [
+        (1, Kind::Residential),
+        (2, Kind::Urban),
+        (3, Kind::Rural),
+        (4, Kind::Highway),
+    ] {
         let world = world(seed, kind);
         let mut sim = SimCamera::new(&camera(), &clean());
         sim.render(&world, 4.0, &mut RgbImage::new(320, 240));
@@ -185,7 +217,9 @@ fn counts_integrate_to_the_distance() {
     let (mut last, mut total, mut wraps) = (None, [0_i64; 4], 0);
     let end = 15.0;
     for reading in wheels.readings(&world, end) {
-        let WheelReading::Counts { counts, .. } = reading else { continue };
+        let WheelReading::Counts { counts, .. } = reading else {
+            continue;
+        };
         if let Some(before) = last.replace(counts) {
             for k in 0..4 {
                 let step = (i64::from(counts[k]) - i64::from(before[k])).rem_euclid(256);
@@ -200,7 +234,11 @@ fn counts_integrate_to_the_distance() {
     for k in 0..4 {
         let metres = total[k] as f64 * encoders.metres_per_count;
         let allowed = rolled[k] * encoders.radius_error + encoders.metres_per_count;
-        assert!((metres - rolled[k]).abs() <= allowed, "{metres} for {}", rolled[k]);
+        assert!(
+            (metres - rolled[k]).abs() <= allowed,
+            "{metres} for {}",
+            rolled[k]
+        );
     }
     assert!(wheels.readings(&world, end).next().is_none());
 }
@@ -217,9 +255,20 @@ fn rear_wheels_differ_by_the_turn() {
 #[test]
 fn slip_turns_the_wheels_further() {
     let world = world(2, Kind::Residential);
-    let slips = vec![Slip { from_s: 4.0, to_s: 6.0, share: 0.2 }];
-    let slipping = SimWheels::new(&Encoders { slips, modulus: 1 << 20, ..Encoders::default() });
-    let rolling = SimWheels::new(&Encoders { modulus: 1 << 20, ..Encoders::default() });
+    let slips = vec![Slip {
+        from_s: 4.0,
+        to_s: 6.0,
+        share: 0.2,
+    }];
+    let slipping = SimWheels::new(&Encoders {
+        slips,
+        modulus: 1 << 20,
+        ..Encoders::default()
+    });
+    let rolling = SimWheels::new(&Encoders {
+        modulus: 1 << 20,
+        ..Encoders::default()
+    });
     let difference = |number| {
         let count = |wheels: &SimWheels| match wheels.reading(&world, number) {
             WheelReading::Counts { counts, .. } => i64::from(counts[2]),
@@ -235,7 +284,9 @@ fn slip_turns_the_wheels_further() {
 #[test]
 fn drive_stops_and_goes_on() {
     let drive = Drive::default();
-    let standing = (0..4000).filter(|i| drive.at(f64::from(*i) * 0.01).1 == 0.0).count();
+    let standing = (0..4000)
+        .filter(|i| drive.at(f64::from(*i) * 0.01).1 == 0.0)
+        .count();
     assert!(standing > 150, "{standing} hundredths of a second at rest");
     let mut last = 0.0;
     for i in 0..4000 {
