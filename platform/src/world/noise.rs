@@ -65,7 +65,6 @@ impl Seeded {
 #[expect(clippy::cast_possible_truncation, reason = "coordinates are far below 2^31")]
 pub(super) fn floor(x: f32) -> i32 {
     let whole = x as i32;
-    #[expect(clippy::cast_precision_loss, reason = "texel indices are below 2^24")]
     let back = whole as f32;
     whole - i32::from(x < back)
 }

@@ -195,7 +195,7 @@ impl Textures {
         });
         let bricks = Tile::new(|x, y| {
             let row = y as u32 / 16;
-            let shifted = (x + if row % 2 == 0 { 32.0 } else { 0.0 }) % SIZE as f32;
+            let shifted = (x + if row.is_multiple_of(2) { 32.0 } else { 0.0 }) % SIZE as f32;
             let near = |c: f32, n: f32| (c % n).min(n - 1.0 - c % n);
             let joint = 1.0 - smoothstep(0.3, 1.6, near(shifted, 64.0).min(near(y, 16.0)));
             0.7 * (unit(hash(11, row * 8 + shifted as u32 / 64)) - 0.5)
