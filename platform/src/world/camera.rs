@@ -17,14 +17,13 @@ use freespace::space::Pose;
 use super::World;
 use super::ground::Footprint;
 use super::light::lit;
-use super::noise::{floor, hash, wave};
+use super::noise::{hash, wave};
 use super::raster::{DepthBuffer, Extent, Frame, View, nearest_m};
 use super::scene::{NEAR_M, Scene};
 use super::shape::{Part, Seen};
 use super::truth::Label;
+use super::window::Window;
 
-/// Side of the window of ground whose road coordinates are kept, in metres and nodes.
-const WINDOW: usize = 256;
 /// How far ahead of the camera the window is centred.
 const WINDOW_AHEAD_M: f32 = 88.0;
 const TONES: usize = 4096;
@@ -65,69 +64,6 @@ impl Default for Sensor {
             soft: true,
             exposure: 1.0,
         }
-    }
-}
-
-/// Road coordinates of the ground around the camera, on whole metres.
-#[derive(Clone, Debug)]
-struct Window {
-    /// Which node of the plane each slot holds.
-    nodes: Box<[[i32; 2]]>,
-    coordinates: Box<[[f32; 2]]>,
-    first: [i32; 2],
-}
-
-impl Window {
-    fn new() -> Self {
-        Self {
-            nodes: vec![[i32::MIN; 2]; WINDOW * WINDOW].into_boxed_slice(),
-            coordinates: vec![[0.0; 2]; WINDOW * WINDOW].into_boxed_slice(),
-            first: [i32::MIN; 2],
-        }
-    }
-
-    fn slot(x: i32, y: i32) -> usize {
-        (y as usize & (WINDOW - 1)) * WINDOW + (x as usize & (WINDOW - 1))
-    }
-
-    fn centre(&mut self, world: &World, x: f32, y: f32) {
-        let half = WINDOW as i32 / 2;
-        let first = [floor(x) - half, floor(y) - half];
-        if first == self.first {
-            return;
-        }
-        self.first = first;
-        for j in self.first[1]..self.first[1] + WINDOW as i32 {
-            for i in self.first[0]..self.first[0] + WINDOW as i32 {
-                let slot = Self::slot(i, j);
-                if self.nodes[slot] != [i, j] {
-                    let (s, d) = world.road.locate(f64::from(i), f64::from(j));
-                    self.coordinates[slot] = [s as f32, d as f32];
-                    self.nodes[slot] = [i, j];
-                }
-            }
-        }
-    }
-
-    /// `(s, d)` and the change of `s` along x and y; none outside the window.
-    #[inline]
-    fn at(&self, x: f32, y: f32) -> Option<([f32; 2], [f32; 2])> {
-        let (i, j) = (floor(x), floor(y));
-        let (u, v) = (i - self.first[0], j - self.first[1]);
-        let inside = 0..WINDOW as i32 - 1;
-        if !inside.contains(&u) || !inside.contains(&v) {
-            return None;
-        }
-        let (fx, fy) = (x - i as f32, y - j as f32);
-        let a = self.coordinates[Self::slot(i, j)];
-        let b = self.coordinates[Self::slot(i + 1, j)];
-        let c = self.coordinates[Self::slot(i, j + 1)];
-        let e = self.coordinates[Self::slot(i + 1, j + 1)];
-        let at = |k: usize| {
-            let (top, bottom) = (a[k] + (b[k] - a[k]) * fx, c[k] + (e[k] - c[k]) * fx);
-            top + (bottom - top) * fy
-        };
-        Some(([at(0), at(1)], [b[0] - a[0], c[0] - a[0]]))
     }
 }
 

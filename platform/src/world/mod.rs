@@ -22,6 +22,7 @@ mod tests;
 mod texture;
 mod truth;
 mod wheels;
+mod window;
 
 pub use camera::{Sensor, SimCamera};
 pub use drive::Drive;

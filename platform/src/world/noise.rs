@@ -40,7 +40,6 @@ impl Seeded {
     }
 
     /// 32 random bits.
-    #[expect(clippy::cast_possible_truncation, reason = "the upper half is meant")]
     pub(super) fn word(&mut self) -> u32 {
         (self.next() >> 32) as u32
     }
