@@ -37,7 +37,10 @@ struct Shares(u64);
 
 impl Shares {
     fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         #[expect(clippy::cast_precision_loss, reason = "40 bits fit an f64")]
         let share = (self.0 >> 24) as f64 / (1_u64 << 40) as f64;
         low + (high - low) * share
@@ -70,7 +73,10 @@ fn camera(shares: &mut Shares, width: u32, height: u32) -> Camera {
     }
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "factors near one lose nothing that shows")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "factors near one lose nothing that shows"
+)]
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments = Arguments::parse();
     std::fs::create_dir_all(&arguments.out)?;
@@ -82,7 +88,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut shares = Shares(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15));
         shares.between(0.0, 1.0);
         let world = World::new(
-            &WorldConfig { seed, length_m: 220.0, drive: Drive { start_mps: 8.0, ..Drive::default() }, ..WorldConfig::default() },
+            &WorldConfig {
+                seed,
+                length_m: 220.0,
+                drive: Drive {
+                    start_mps: 8.0,
+                    ..Drive::default()
+                },
+                ..WorldConfig::default()
+            },
             &textures,
         );
         let sensor = Sensor {
@@ -108,7 +122,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         labels.save(arguments.out.join(format!("{seed:06}_label.png")))?;
         picture.save(arguments.out.join(format!("{seed:06}.png")))?;
         if (i + 1) % 50 == 0 {
-            println!("{} of {} in {:.1} s", i + 1, arguments.count, started.elapsed().as_secs_f64());
+            println!(
+                "{} of {} in {:.1} s",
+                i + 1,
+                arguments.count,
+                started.elapsed().as_secs_f64()
+            );
         }
     }
     #[expect(clippy::cast_precision_loss, reason = "a count of frames")]

@@ -17,14 +17,13 @@ use freespace::space::Pose;
 use super::World;
 use super::ground::Footprint;
 use super::light::lit;
-use super::noise::{floor, hash, wave};
+use super::noise::{hash, wave};
 use super::raster::{DepthBuffer, Extent, Frame, View, nearest_m};
 use super::scene::{NEAR_M, Scene};
-use super::shape::Part;
+use super::shape::{Part, Seen};
 use super::truth::Label;
+use super::window::Window;
 
-/// Side of the window of ground whose road coordinates are kept, in metres and nodes.
-const WINDOW: usize = 256;
 /// How far ahead of the camera the window is centred.
 const WINDOW_AHEAD_M: f32 = 88.0;
 const TONES: usize = 4096;
@@ -68,65 +67,6 @@ impl Default for Sensor {
     }
 }
 
-/// Road coordinates of the ground around the camera, on whole metres.
-#[derive(Clone, Debug)]
-struct Window {
-    /// Which node of the plane each slot holds.
-    nodes: Box<[[i32; 2]]>,
-    coordinates: Box<[[f32; 2]]>,
-    first: [i32; 2],
-}
-
-impl Window {
-    fn new() -> Self {
-        Self {
-            nodes: vec![[i32::MIN; 2]; WINDOW * WINDOW].into_boxed_slice(),
-            coordinates: vec![[0.0; 2]; WINDOW * WINDOW].into_boxed_slice(),
-            first: [0; 2],
-        }
-    }
-
-    fn slot(x: i32, y: i32) -> usize {
-        (y as usize & (WINDOW - 1)) * WINDOW + (x as usize & (WINDOW - 1))
-    }
-
-    fn centre(&mut self, world: &World, x: f32, y: f32) {
-        let half = WINDOW as i32 / 2;
-        self.first = [floor(x) - half, floor(y) - half];
-        for j in self.first[1]..self.first[1] + WINDOW as i32 {
-            for i in self.first[0]..self.first[0] + WINDOW as i32 {
-                let slot = Self::slot(i, j);
-                if self.nodes[slot] != [i, j] {
-                    let (s, d) = world.road.locate(f64::from(i), f64::from(j));
-                    self.coordinates[slot] = [s as f32, d as f32];
-                    self.nodes[slot] = [i, j];
-                }
-            }
-        }
-    }
-
-    /// `(s, d)` and the change of `s` along x and y; none outside the window.
-    #[inline]
-    fn at(&self, x: f32, y: f32) -> Option<([f32; 2], [f32; 2])> {
-        let (i, j) = (floor(x), floor(y));
-        let (u, v) = (i - self.first[0], j - self.first[1]);
-        let inside = 0..WINDOW as i32 - 1;
-        if !inside.contains(&u) || !inside.contains(&v) {
-            return None;
-        }
-        let (fx, fy) = (x - i as f32, y - j as f32);
-        let a = self.coordinates[Self::slot(i, j)];
-        let b = self.coordinates[Self::slot(i + 1, j)];
-        let c = self.coordinates[Self::slot(i, j + 1)];
-        let e = self.coordinates[Self::slot(i + 1, j + 1)];
-        let at = |k: usize| {
-            let (top, bottom) = (a[k] + (b[k] - a[k]) * fx, c[k] + (e[k] - c[k]) * fx);
-            top + (bottom - top) * fy
-        };
-        Some(([at(0), at(1)], [b[0] - a[0], c[0] - a[0]]))
-    }
-}
-
 /// A soft dark patch under something on the road.
 #[derive(Clone, Copy, Debug)]
 struct Decal {
@@ -159,6 +99,8 @@ pub struct SimCamera {
     raw: RgbImage,
     developed: RgbImage,
     tones: Box<[u8]>,
+    noise: Box<[i16]>,
+    column: Box<[i16]>,
     pose: Pose,
     world_seed: Option<u64>,
 }
@@ -170,7 +112,10 @@ impl SimCamera {
         let (width, height) = (camera.width, camera.height);
         let table = RayTable::new(&camera.lens, width, height);
         let rays: Box<[[f32; 3]]> = table.rays().iter().map(|r| [r.x, r.y, r.z]).collect();
-        let mut extent = Extent { low: [f32::MAX; 2], high: [f32::MIN; 2] };
+        let mut extent = Extent {
+            low: [f32::MAX; 2],
+            high: [f32::MIN; 2],
+        };
         for ray in rays.iter().filter(|r| r[2] > 0.05) {
             for k in 0..2 {
                 extent.low[k] = extent.low[k].min(ray[k] / ray[2]);
@@ -196,7 +141,12 @@ impl SimCamera {
         Self {
             camera: *camera,
             sensor: *sensor,
-            frame: Frame { lens: camera.lens, width, height, extent },
+            frame: Frame {
+                lens: camera.lens,
+                width,
+                height,
+                extent,
+            },
             rays,
             world_rays: vec![[0.0; 3]; pixels].into_boxed_slice(),
             gain,
@@ -211,6 +161,8 @@ impl SimCamera {
             raw: RgbImage::new(width, height),
             developed: RgbImage::new(width, height),
             tones,
+            noise: noise(sensor, 3 * width),
+            column: vec![0; 3 * width].into_boxed_slice(),
             pose: Pose::identity(),
             world_seed: None,
         }
@@ -252,7 +204,11 @@ impl SimCamera {
     pub fn render_gray(&mut self, world: &World, seconds: f64, out: &mut GrayImage) {
         let mut developed = std::mem::replace(&mut self.developed, RgbImage::new(0, 0));
         self.render(world, seconds, &mut developed);
-        for (luma, p) in out.pixels_mut().iter_mut().zip(developed.pixels().chunks_exact(3)) {
+        for (luma, p) in out
+            .pixels_mut()
+            .iter_mut()
+            .zip(developed.pixels().chunks_exact(3))
+        {
             *luma = ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8;
         }
         self.developed = developed;
@@ -271,14 +227,20 @@ impl SimCamera {
         }
         let ahead = view.axes[2];
         let flat = WINDOW_AHEAD_M / ahead[0].hypot(ahead[1]).max(0.2);
-        self.window.centre(world, view.origin[0] + flat * ahead[0], view.origin[1] + flat * ahead[1]);
+        self.window.centre(
+            world,
+            view.origin[0] + flat * ahead[0],
+            view.origin[1] + flat * ahead[1],
+        );
     }
 
     /// Fills the depth buffer and the dark patches under vehicles and people.
     fn draw_parts(&mut self, world: &World, seconds: f64) {
         let view = View::new(&self.pose);
         let ego_s = world.ego(seconds).road_m;
-        world.traffic.fill(&mut self.movers, &world.road, &world.style, ego_s, seconds);
+        world
+            .traffic
+            .fill(&mut self.movers, &world.road, &world.style, ego_s, seconds);
         self.buffer.clear();
         self.hidden.fill([0; 2]);
         self.order.clear();
@@ -286,27 +248,54 @@ impl SimCamera {
         let s = ego_s as f32;
         let fixed = world.scene.parts.len();
         let reach = s - NEAR_M..=s + NEAR_M;
-        let still = world.scene.between(*reach.start(), *reach.end()).iter().map(|o| (o, &world.scene.parts, 0, false));
-        let moving = self.movers.objects.iter().map(|o| (o, &self.movers.parts, fixed, true));
+        let still = world
+            .scene
+            .between(*reach.start(), *reach.end())
+            .iter()
+            .map(|o| (o, &world.scene.parts, 0, false));
+        let moving = self
+            .movers
+            .objects
+            .iter()
+            .map(|o| (o, &self.movers.parts, fixed, true));
         for (object, parts, offset, moves) in still.chain(moving) {
-            let (dx, dy) = (object.centre[0] - view.origin[0], object.centre[1] - view.origin[1]);
+            let (dx, dy) = (
+                object.centre[0] - view.origin[0],
+                object.centre[1] - view.origin[1],
+            );
             let ahead = dx * view.axes[2][0] + dy * view.axes[2][1];
             if ahead < -object.radius - 1.0 || dx.hypot(dy) - object.radius > NEAR_M {
                 continue;
             }
             for i in object.first..object.first + object.count {
-                self.order.push((nearest_m(&parts[i], view.origin), (offset + i) as u32));
+                self.order
+                    .push((nearest_m(&parts[i], view.origin), (offset + i) as u32));
             }
-            decals(&parts[object.first..object.first + object.count], moves, world.style.sun, &mut self.decals);
+            decals(
+                &parts[object.first..object.first + object.count],
+                moves,
+                world.style.sun,
+                &mut self.decals,
+            );
         }
-        self.order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        self.order
+            .sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         for &(_, index) in &self.order {
             let part = part_at(world, &self.movers, index);
-            self.buffer.draw(part, index + 1, &self.frame, &view, &self.world_rays, &world.textures);
+            self.buffer.draw(
+                part,
+                index + 1,
+                &self.frame,
+                &view,
+                &self.world_rays,
+                &world.textures,
+            );
         }
         for decal in &self.decals {
             let reach = decal.half.map(|h| h + decal.soft);
-            let Some(bounds) = self.frame.bounds(&view, decal.base, decal.turn, reach, 0.01) else { continue };
+            let Some(bounds) = self.frame.bounds(&view, decal.base, decal.turn, reach, 0.01) else {
+                continue;
+            };
             for y in bounds.y[0]..bounds.y[1] {
                 for i in y * self.camera.width + bounds.x[0]..y * self.camera.width + bounds.x[1] {
                     decal.darken(&view, self.world_rays[i], &mut self.hidden[i]);
@@ -328,6 +317,14 @@ impl SimCamera {
         };
         let exposure = style.exposure * self.sensor.exposure * drift * step;
         let to_tone = exposure * TONES as f32;
+        let mut last = 0;
+        let mut seen: Option<Seen<'_>> = None;
+        let mut tones = Tones {
+            table: &self.tones,
+            gain: &self.gain,
+            scale: to_tone,
+            pixels: self.raw.pixels_mut(),
+        };
         for i in 0..self.rays.len() {
             let ray = self.world_rays[i];
             let limit = self.buffer.distance[i];
@@ -336,72 +333,103 @@ impl SimCamera {
                 let (rgb, label) = meeting.shade(world, ray, pixel_rad, blur_m, self.hidden[i]);
                 (rgb, label, meeting.distance)
             } else if self.buffer.part[i] > 0 {
-                let part = part_at(world, &self.movers, self.buffer.part[i] - 1);
-                let rgb = match part.meet(view.origin, ray, f32::MAX, &world.textures) {
+                let id = self.buffer.part[i];
+                let part = part_at(world, &self.movers, id - 1);
+                if id != last {
+                    seen = Some(Seen::new(part, view.origin));
+                    last = id;
+                }
+                let rgb = match seen.and_then(|s| s.meet(ray, f32::MAX, &world.textures)) {
                     Some(hit) => lit(part, &hit, style, &world.textures, pixel_rad),
                     None => part.rgb,
                 };
                 (rgb, part.label, limit)
             } else {
                 let (rgb, far) = world.sky.seen(ray, style, &world.textures);
-                self.emit(i, rgb, to_tone);
+                tones.emit(i, rgb);
                 self.labels[i] = if far { Label::Far } else { Label::Sky } as u8;
                 self.depth_m[i] = f32::INFINITY;
                 continue;
             };
             let haze = distance / (distance + 1.4 * style.haze_m);
-            let hazed = [0, 1, 2].map(|k| rgb[k] + haze * (0.8 * style.horizon_rgb[k] - rgb[k]));
-            self.emit(i, hazed, to_tone);
+            let veil = |k: usize| rgb[k] + haze * (0.8 * style.horizon_rgb[k] - rgb[k]);
+            let hazed = [veil(0), veil(1), veil(2)];
+            tones.emit(i, hazed);
             self.labels[i] = label;
             self.depth_m[i] = distance * self.rays[i][2];
         }
     }
 
-    #[inline]
-    fn emit(&mut self, i: usize, rgb: [f32; 3], to_tone: f32) {
-        let scale = to_tone * self.gain[i];
-        let pixel = &mut self.raw.pixels_mut()[3 * i..3 * i + 3];
-        for k in 0..3 {
-            pixel[k] = self.tones[((rgb[k] * scale) as usize).min(TONES - 1)];
-        }
-    }
-
     /// Lens softness and noise.
-    fn develop(&self, seconds: f64, out: &mut RgbImage) {
+    fn develop(&mut self, seconds: f64, out: &mut RgbImage) {
         let (width, height) = (self.camera.width, self.camera.height);
         let stamp = hash(self.sensor.seed, (seconds * 1e4).round() as i64 as u32);
-        let mut noise = u64::from(stamp) << 32 | 0x9e37_79b9;
-        // Shot noise grows with the root of the light; after the gamma it is about level.
-        let sigma = self.sensor.read_noise.hypot(0.7 * self.sensor.shot_noise);
-        let strength = (sigma * 256.0 / 147.8) as i32;
+        let side = if self.sensor.soft { 1 } else { 0 };
+        // Weights 1 6 1 both ways, or the pixel alone, in 64ths.
+        let middle = 8 - 2 * side;
+        let bytes = 3 * width;
         for y in 0..height {
             let above = self.raw.row(y.saturating_sub(1));
             let here = self.raw.row(y);
             let below = self.raw.row((y + 1).min(height - 1));
+            let column = &mut self.column;
+            let start = hash(stamp, y as u32) as usize % (self.noise.len() - bytes);
+            let noise = &self.noise[start..start + bytes];
+            for i in 0..bytes {
+                column[i] = side * (i16::from(above[i]) + i16::from(below[i])) + middle * i16::from(here[i]);
+            }
             let target = out.row_mut(y);
-            for i in 0..3 * width {
-                let tone = if self.sensor.soft && i >= 3 && i + 3 < 3 * width {
-                    let column = |k: usize| i32::from(above[k]) + 4 * i32::from(here[k]) + i32::from(below[k]);
-                    (column(i - 3) + 4 * column(i) + column(i + 3)) * 64
-                } else {
-                    i32::from(here[i]) * 2304
-                };
-                noise ^= noise << 13;
-                noise ^= noise >> 7;
-                noise ^= noise << 17;
-                // Four bytes summed: nearly normal, standard deviation 147.8.
-                let sum = (noise & 255) + (noise >> 8 & 255) + (noise >> 16 & 255) + (noise >> 24 & 255);
-                let error = (sum as i32 - 510) * strength * 9 / 256;
-                target[i] = ((tone + error + 1152) / 2304).clamp(0, 255) as u8;
+            for i in 3..bytes.saturating_sub(3) {
+                let tone = side * (column[i - 3] + column[i + 3]) + middle * column[i] + noise[i] + 32;
+                target[i] = (tone >> 6).clamp(0, 255) as u8;
+            }
+            for i in (0..3).chain(bytes - 3..bytes) {
+                target[i] = ((8 * column[i] + noise[i] + 32) >> 6).clamp(0, 255) as u8;
             }
         }
     }
 }
 
+/// Radiance to grey levels.
+struct Tones<'a> {
+    table: &'a [u8],
+    gain: &'a [f32],
+    scale: f32,
+    pixels: &'a mut [u8],
+}
+
+impl Tones<'_> {
+    #[inline]
+    fn emit(&mut self, i: usize, rgb: [f32; 3]) {
+        let scale = self.scale * self.gain[i];
+        for (k, channel) in rgb.iter().enumerate() {
+            self.pixels[3 * i + k] = self.table[((channel * scale) as usize).min(TONES - 1)];
+        }
+    }
+}
+
+/// Nearly normal noise in 64ths of a grey level, read from a random place in each row.
+fn noise(sensor: &Sensor, bytes: usize) -> Box<[i16]> {
+    // Shot noise grows with the root of the light; after the gamma it is about level.
+    let sigma = sensor.read_noise.hypot(0.7 * sensor.shot_noise);
+    (0..bytes + 16_384)
+        .map(|i| {
+            let bits = hash(sensor.seed, i as u32);
+            let sum = (bits & 255) + (bits >> 8 & 255) + (bits >> 16 & 255) + (bits >> 24);
+            // Four bytes summed have the standard deviation 147.8.
+            ((sum as f32 - 510.0) / 147.8 * sigma * 64.0) as i16
+        })
+        .collect()
+}
+
 fn part_at<'a>(world: &'a World, movers: &'a Scene, index: u32) -> &'a Part {
     let index = index as usize;
     let fixed = world.scene.parts.len();
-    if index < fixed { &world.scene.parts[index] } else { &movers.parts[index - fixed] }
+    if index < fixed {
+        &world.scene.parts[index]
+    } else {
+        &movers.parts[index - fixed]
+    }
 }
 
 /// The dark patches of one object.
@@ -412,12 +440,26 @@ fn decals(parts: &[Part], moves: bool, sun: [f32; 3], out: &mut Vec<Decal>) {
         return;
     }
     let turn = [first.sin, first.cos];
-    let ground = [first.base[0], first.base[1], 0.0];
-    out.push(Decal { base: ground, turn, half: first.half, soft: if living { 0.15 } else { 0.3 }, hides: [0.75, 0.9] });
+    let floor = parts.iter().map(|p| p.base[2]).fold(f32::MAX, f32::min);
+    let floor = if floor < 0.3 { floor } else { 0.0 };
+    let ground = [first.base[0], first.base[1], floor];
+    out.push(Decal {
+        base: ground,
+        turn,
+        half: first.half,
+        soft: if living { 0.15 } else { 0.3 },
+        hides: [0.75, 0.9],
+    });
     if moves {
         let away = 0.55 / sun[2];
-        let base = [ground[0] - sun[0] * away, ground[1] - sun[1] * away, 0.0];
-        out.push(Decal { base, turn, half: first.half, soft: 0.2, hides: [0.0, 1.0] });
+        let base = [ground[0] - sun[0] * away, ground[1] - sun[1] * away, floor];
+        out.push(Decal {
+            base,
+            turn,
+            half: first.half,
+            soft: 0.2,
+            hides: [0.0, 1.0],
+        });
     }
 }
 
@@ -427,7 +469,7 @@ impl Decal {
         if ray[2] > -1e-4 {
             return;
         }
-        let distance = -view.origin[2] / ray[2];
+        let distance = (self.base[2] - view.origin[2]) / ray[2];
         let dx = view.origin[0] + distance * ray[0] - self.base[0];
         let dy = view.origin[1] + distance * ray[1] - self.base[1];
         let [sin, cos] = self.turn;
@@ -464,32 +506,73 @@ impl Meeting {
         if raised >= limit {
             return None;
         }
-        let at = |distance: f32| window.at(view.origin[0] + distance * ray[0], view.origin[1] + distance * ray[1]);
+        let at = |distance: f32| {
+            window.at(
+                view.origin[0] + distance * ray[0],
+                view.origin[1] + distance * ray[1],
+            )
+        };
         let Some(upper) = at(raised) else {
-            return Some(Self { distance: raised, place: None, edge: 10.0, face: false });
+            return Some(Self {
+                distance: raised,
+                place: None,
+                edge: 10.0,
+                face: false,
+            });
         };
         let upper_edge = world.road.edge(upper.0[0], upper.0[1]);
         if upper_edge > 0.0 {
-            return Some(Self { distance: raised, place: Some(upper), edge: upper_edge, face: false });
+            return Some(Self {
+                distance: raised,
+                place: Some(upper),
+                edge: upper_edge,
+                face: false,
+            });
         }
         let flat = view.origin[2] / -ray[2];
         let Some(lower) = at(flat) else {
-            return Some(Self { distance: raised, place: None, edge: 10.0, face: false });
+            return Some(Self {
+                distance: raised,
+                place: None,
+                edge: 10.0,
+                face: false,
+            });
         };
         let lower_edge = world.road.edge(lower.0[0], lower.0[1]);
         if lower_edge <= 0.0 {
-            return (flat < limit).then_some(Self { distance: flat, place: Some(lower), edge: lower_edge, face: false });
+            return (flat < limit).then_some(Self {
+                distance: flat,
+                place: Some(lower),
+                edge: lower_edge,
+                face: false,
+            });
         }
         // Between the planes the ray crosses the kerb's face, about where its edge distance passes zero.
         let f = upper_edge / (upper_edge - lower_edge);
         let distance = raised + f * (flat - raised);
-        (distance < limit).then_some(Self { distance, place: Some(lower), edge: 0.0, face: true })
+        (distance < limit).then_some(Self {
+            distance,
+            place: Some(lower),
+            edge: 0.0,
+            face: true,
+        })
     }
 
     #[inline]
-    fn shade(&self, world: &World, ray: [f32; 3], pixel_rad: f32, blur_m: f32, hidden: [u8; 2]) -> ([f32; 3], u8) {
+    fn shade(
+        &self,
+        world: &World,
+        ray: [f32; 3],
+        pixel_rad: f32,
+        blur_m: f32,
+        hidden: [u8; 2],
+    ) -> ([f32; 3], u8) {
         let style = &world.style;
-        let label = if self.edge < 0.0 || (self.edge == 0.0 && !self.face) { Label::Road } else { Label::NonDrivable };
+        let label = if self.edge < 0.0 || (self.edge == 0.0 && !self.face) {
+            Label::Road
+        } else {
+            Label::NonDrivable
+        };
         let Some(([s, d], [sx, sy])) = self.place else {
             let light = style.sky_light_rgb[1] + 0.6 * style.sun_rgb[1];
             return (style.beyond_rgb.map(|c| c * light), label as u8);
@@ -499,7 +582,10 @@ impl Meeting {
         let flat = 1.0 / (ray[0] * ray[0] + ray[1] * ray[1]).sqrt().max(1e-6);
         let ahead = ((ray[0] * sx + ray[1] * sy) * flat).abs().min(1.0);
         let aside = ((ray[0] * sy - ray[1] * sx) * flat).abs().min(1.0);
-        let foot = Footprint { along_m: ahead * along + aside * across + blur_m, across_m: aside * along + ahead * across };
+        let foot = Footprint {
+            along_m: ahead * along + aside * across + blur_m,
+            across_m: aside * along + ahead * across,
+        };
         let rgb = if self.face {
             style.kerb_rgb.map(|c| 0.6 * c)
         } else if label == Label::Road {
@@ -510,9 +596,11 @@ impl Meeting {
         let open = 1.0 - f32::from(hidden[0]) * (1.0 / 255.0);
         let mut sun = 0.0;
         if style.sun_rgb[1] > 0.0 {
-            sun = world.shadow.sunlight(&world.textures, s, d, foot) * (1.0 - f32::from(hidden[1]) * (1.0 / 255.0));
+            sun = world.shadow.sunlight(&world.textures, s, d, foot)
+                * (1.0 - f32::from(hidden[1]) * (1.0 / 255.0));
             sun *= style.sun[2];
         }
-        ([0, 1, 2].map(|k| rgb[k] * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k])), label as u8)
+        let lit = |k: usize| rgb[k] * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k]);
+        ([lit(0), lit(1), lit(2)], label as u8)
     }
 }

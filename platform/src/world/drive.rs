@@ -35,7 +35,13 @@ pub struct Drive {
 
 impl Default for Drive {
     fn default() -> Self {
-        Self { start_mps: 5.0, cruise_mps: 10.0, acceleration_mps2: 1.8, cruise_s: 14.0, stop_s: 2.0 }
+        Self {
+            start_mps: 5.0,
+            cruise_mps: 10.0,
+            acceleration_mps2: 1.8,
+            cruise_s: 14.0,
+            stop_s: 2.0,
+        }
     }
 }
 
@@ -108,11 +114,17 @@ impl Path {
 
     /// Where along the road the rear axle is after `metres` of path, and what the wheels have rolled.
     pub(super) fn at(&self, metres: f64) -> (f64, [f64; 4]) {
-        let after = self.rolled.partition_point(|r| r[0] <= metres).clamp(1, self.rolled.len() - 1);
+        let after = self
+            .rolled
+            .partition_point(|r| r[0] <= metres)
+            .clamp(1, self.rolled.len() - 1);
         let (a, b) = (&self.rolled[after - 1], &self.rolled[after]);
         let f = ((metres - a[0]) / (b[0] - a[0]).max(1e-9)).clamp(0.0, 1.0);
         let wheel = |k: usize| a[k] + f * (b[k] - a[k]);
-        ((after as f64 - 1.0 + f) * STEP_M, [wheel(1), wheel(2), wheel(3), wheel(4)])
+        (
+            (after as f64 - 1.0 + f) * STEP_M,
+            [wheel(1), wheel(2), wheel(3), wheel(4)],
+        )
     }
 
     /// Vehicle pose at `s`.

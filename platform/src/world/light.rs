@@ -51,7 +51,8 @@ impl Sky {
                 let light = 0.7 + 0.45 * leaves;
                 return (
                     [0, 1, 2].map(|k| {
-                        let lit = style.leaf_rgb[k] * light * (style.sky_light_rgb[k] + 0.3 * style.sun_rgb[k]);
+                        let lit =
+                            style.leaf_rgb[k] * light * (style.sky_light_rgb[k] + 0.3 * style.sun_rgb[k]);
                         lit + haze * (0.5 * style.horizon_rgb[k] - lit)
                     }),
                     true,
@@ -62,7 +63,9 @@ impl Sky {
         let blue = (height * 2.2).min(1.0).sqrt();
         let reach = 1.0 / (height + 0.06);
         let l = level(0.5 * reach * reach);
-        let cloud = textures.stains.sample(ray[0] * reach * 42.0, ray[1] * reach * 42.0, l, l);
+        let cloud = textures
+            .stains
+            .sample(ray[0] * reach * 42.0, ray[1] * reach * 42.0, l, l);
         let cover = smoothstep(0.65 - 1.3 * style.clouds, 1.0 - 1.1 * style.clouds, cloud + 0.12);
         let white = 0.9 + 0.35 * cloud + 0.15 * style.sun_rgb[1];
         let sky = [0, 1, 2].map(|k| {
@@ -93,7 +96,11 @@ pub(super) fn lit(part: &Part, hit: &Hit, style: &Style, textures: &Textures, pi
 fn reflectance(part: &Part, hit: &Hit, textures: &Textures, foot_m: f32, gloss: &mut f32) -> [f32; 3] {
     let [x, y, z] = hit.point;
     // On upright faces: metres along the face.
-    let along = if hit.normal[0].abs() > hit.normal[1].abs() { y } else { x };
+    let along = if hit.normal[0].abs() > hit.normal[1].abs() {
+        y
+    } else {
+        x
+    };
     let at = |scale: f32, tile: &super::texture::Tile| {
         let l = level(foot_m * scale);
         tile.sample(along * scale + part.detail * 5000.0, z * scale, l, l)
@@ -102,7 +109,11 @@ fn reflectance(part: &Part, hit: &Hit, textures: &Textures, foot_m: f32, gloss: 
         Material::Plain => 1.0,
         Material::Bark => 1.0 + 0.7 * at(60.0, &textures.leaves),
         Material::Roof => {
-            let rows = if foot_m < 0.15 { 0.25 * ((z * 18.0).sin()) } else { 0.0 };
+            let rows = if foot_m < 0.15 {
+                0.25 * ((z * 18.0).sin())
+            } else {
+                0.0
+            };
             1.0 + 0.4 * at(40.0, &textures.stains) + rows
         }
         Material::Foliage => {
@@ -115,20 +126,31 @@ fn reflectance(part: &Part, hit: &Hit, textures: &Textures, foot_m: f32, gloss: 
         Material::Plaster | Material::Brick => return wall(part, hit, along, textures, foot_m, gloss),
         Material::Pickets => {
             let gap = (along * 8.0).rem_euclid(1.0) < 0.3 && foot_m < 0.06;
-            if gap { 0.3 } else { 1.0 + 0.3 * at(70.0, &textures.stains) }
+            if gap {
+                0.3
+            } else {
+                1.0 + 0.3 * at(70.0, &textures.stains)
+            }
         }
         Material::Body => return body(part, hit, along, gloss),
         Material::Glass => {
             *gloss = 0.3;
             // Pillars in the paint of the car.
             let side = hit.normal[1].abs() > 0.5;
-            let pillar = side && ((x + 0.1).abs() < 0.06 || x.abs() > 0.8 * part.half[0] - 0.55 * z) || z > part.height - 0.05;
-            if pillar { return part.rgb }
+            let pillar = side && ((x + 0.1).abs() < 0.06 || x.abs() > 0.8 * part.half[0] - 0.55 * z)
+                || z > part.height - 0.05;
+            if pillar {
+                return part.rgb;
+            }
             return [0.02, 0.024, 0.028];
         }
         Material::Tyre => {
             let hub = (x * x + (z - part.half[0]).powi(2)).sqrt() < 0.6 * part.half[0];
-            return if hub && hit.normal[1].abs() > 0.5 { [0.22; 3] } else { [0.018; 3] };
+            return if hub && hit.normal[1].abs() > 0.5 {
+                [0.22; 3]
+            } else {
+                [0.018; 3]
+            };
         }
     };
     part.rgb.map(|c| c * tone.max(0.08))
@@ -143,19 +165,27 @@ fn body(part: &Part, hit: &Hit, along: f32, gloss: &mut f32) -> [f32; 3] {
     if hit.normal[0].abs() > 0.5 {
         let lamp = along.abs() > 0.62 * part.half[1] && (0.6..0.88).contains(&(z / part.height));
         if lamp {
-            return if hit.normal[0] > 0.0 { [0.6, 0.6, 0.58] } else { [0.4, 0.02, 0.02] };
+            return if hit.normal[0] > 0.0 {
+                [0.6, 0.6, 0.58]
+            } else {
+                [0.4, 0.02, 0.02]
+            };
         }
         if along.abs() < 0.26 && (0.3..0.48).contains(&(z / part.height)) {
             return [0.6, 0.6, 0.55];
         }
-        if z < 0.16 { return part.rgb.map(|c| 0.35 * c) }
+        if z < 0.16 {
+            return part.rgb.map(|c| 0.35 * c);
+        }
     } else if hit.normal[1].abs() > 0.5 {
         // Wheel arches, sill, door gaps.
         let arch = (hit.point[0].abs() - (part.half[0] - 0.8)).abs();
         if arch * arch + z * z < 0.145 || z < 0.05 {
             return [0.015; 3];
         }
-        if (hit.point[0] + 0.15).abs() < 0.012 { return part.rgb.map(|c| 0.4 * c) }
+        if (hit.point[0] + 0.15).abs() < 0.012 {
+            return part.rgb.map(|c| 0.4 * c);
+        }
     }
     part.rgb
 }
@@ -163,7 +193,9 @@ fn body(part: &Part, hit: &Hit, along: f32, gloss: &mut f32) -> [f32; 3] {
 fn wall(part: &Part, hit: &Hit, along: f32, textures: &Textures, foot_m: f32, gloss: &mut f32) -> [f32; 3] {
     let z = hit.point[2];
     let l = level(foot_m * 22.0);
-    let dirt = textures.stains.sample(along * 22.0 + part.detail * 3000.0, z * 22.0, l, l);
+    let dirt = textures
+        .stains
+        .sample(along * 22.0 + part.detail * 3000.0, z * 22.0, l, l);
     let mut tone = 1.0 + 0.22 * dirt - 0.15 * smoothstep(0.8, 0.0, z);
     if part.material == Material::Brick {
         let l = level(foot_m * 200.0);
@@ -173,7 +205,11 @@ fn wall(part: &Part, hit: &Hit, along: f32, textures: &Textures, foot_m: f32, gl
     if part.height < 3.0 || hit.normal[2].abs() > 0.5 {
         return plain;
     }
-    let half = if hit.normal[0].abs() > hit.normal[1].abs() { part.half[1] } else { part.half[0] };
+    let half = if hit.normal[0].abs() > hit.normal[1].abs() {
+        part.half[1]
+    } else {
+        part.half[0]
+    };
     let count = (2.0 * half / (2.1 + 1.4 * part.detail)).floor().max(1.0);
     let pitch = 2.0 * half / count;
     let column = floor((along + half) / pitch);
@@ -187,7 +223,11 @@ fn wall(part: &Part, hit: &Hit, along: f32, textures: &Textures, foot_m: f32, gl
     };
     let (frame, pane) = (inside(half_u + 0.09, half_v + 0.09), inside(half_u, half_v));
     let curtain = unit(hash((column as u32) ^ (part.detail * 1e4) as u32, storey as u32));
-    let glass = if curtain > 0.7 { 0.25 } else { 0.03 + 0.05 * curtain };
+    let glass = if curtain > 0.7 {
+        0.25
+    } else {
+        0.03 + 0.05 * curtain
+    };
     let bar = ((0.035 - u.abs()) / foot + 0.5).clamp(0.0, 1.0);
     let white = if part.detail > 0.4 { 0.6 } else { 0.25 };
     let pane_tone = glass + (white - glass) * bar;

@@ -17,9 +17,12 @@ mod scene;
 mod shadow;
 mod shape;
 mod style;
+#[cfg(test)]
+mod tests;
 mod texture;
 mod truth;
 mod wheels;
+mod window;
 
 pub use camera::{Sensor, SimCamera};
 pub use drive::Drive;
@@ -106,7 +109,13 @@ impl World {
         let length_m = length_m.max(1.0);
         let style = style::Style::new(seed, config.kind);
         let road = road::Road::new(seed, length_m, &style);
-        let path = drive::Path::new(&road, f64::from(style.ego_d), length_m, config.track_m, config.wheelbase_m);
+        let path = drive::Path::new(
+            &road,
+            f64::from(style.ego_d),
+            length_m,
+            config.track_m,
+            config.wheelbase_m,
+        );
         let scene = scene::Scene::new(seed, &road, &style, length_m);
         let sunny = style.sun_rgb[1] > 0.0;
         let nothing = scene::Scene::default();
@@ -151,10 +160,15 @@ impl World {
     #[must_use]
     pub fn world_from_camera(&self, seconds: f64, mount: &Mount) -> Pose {
         let ego = self.ego(seconds);
-        #[expect(clippy::cast_possible_truncation, reason = "noise is drawn in single precision")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "noise is drawn in single precision"
+        )]
         let nod = |metres: f64| 0.7 * wave(91, metres as f32 / 6.0) + 0.3 * wave(92, metres as f32 / 1.7);
         let pitch = self.config.body_pitch_rad * f64::from(nod(ego.distance_m) - nod(0.0));
         let body = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch);
-        ego.world_from_vehicle * Pose::from_parts(Translation3::identity(), body) * mount.vehicle_from_camera()
+        ego.world_from_vehicle
+            * Pose::from_parts(Translation3::identity(), body)
+            * mount.vehicle_from_camera()
     }
 }

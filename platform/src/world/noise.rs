@@ -40,7 +40,6 @@ impl Seeded {
     }
 
     /// 32 random bits.
-    #[expect(clippy::cast_possible_truncation, reason = "the upper half is meant")]
     pub(super) fn word(&mut self) -> u32 {
         (self.next() >> 32) as u32
     }
@@ -65,13 +64,16 @@ impl Seeded {
 #[expect(clippy::cast_possible_truncation, reason = "coordinates are far below 2^31")]
 pub(super) fn floor(x: f32) -> i32 {
     let whole = x as i32;
-    #[expect(clippy::cast_precision_loss, reason = "texel indices are below 2^24")]
     let back = whole as f32;
     whole - i32::from(x < back)
 }
 
 /// Value noise of one dimension in `[-1, 1]`, cubic between whole numbers.
-#[expect(clippy::cast_sign_loss, clippy::cast_precision_loss, reason = "lattice indices wrap into the hash")]
+#[expect(
+    clippy::cast_sign_loss,
+    clippy::cast_precision_loss,
+    reason = "lattice indices wrap into the hash"
+)]
 pub(super) fn wave(seed: u32, x: f32) -> f32 {
     let cell = floor(x);
     let f = x - cell as f32;

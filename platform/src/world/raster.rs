@@ -14,7 +14,7 @@ use freespace::frame::Lens;
 use freespace::space::Pose;
 use nalgebra::Vector3;
 
-use super::shape::{Part, Shape};
+use super::shape::{Part, Seen, Shape};
 use super::texture::Textures;
 
 const NEAR_PLANE_M: f32 = 0.15;
@@ -32,7 +32,10 @@ impl View {
         let t = world_from_camera.translation.vector;
         let r = world_from_camera.rotation.to_rotation_matrix();
         let axis = |k: usize| [0, 1, 2].map(|i| r[(i, k)] as f32);
-        Self { origin: [t.x as f32, t.y as f32, t.z as f32], axes: [axis(0), axis(1), axis(2)] }
+        Self {
+            origin: [t.x as f32, t.y as f32, t.z as f32],
+            axes: [axis(0), axis(1), axis(2)],
+        }
     }
 
     fn in_camera(&self, p: [f32; 3]) -> [f32; 3] {
@@ -41,7 +44,9 @@ impl View {
     }
 
     pub(super) fn to_world(self, ray: [f32; 3]) -> [f32; 3] {
-        [0, 1, 2].map(|i| self.axes[0][i] * ray[0] + self.axes[1][i] * ray[1] + self.axes[2][i] * ray[2])
+        let [a, b, c] = &self.axes;
+        let along = |i: usize| a[i] * ray[0] + b[i] * ray[1] + c[i] * ray[2];
+        [along(0), along(1), along(2)]
     }
 }
 
@@ -69,19 +74,41 @@ pub(super) struct Frame {
 }
 
 const EDGES: [[usize; 2]; 12] = [
-    [0, 1], [0, 2], [0, 4], [1, 3], [1, 5], [2, 3], [2, 6], [3, 7], [4, 5], [4, 6], [5, 7], [6, 7],
+    [0, 1],
+    [0, 2],
+    [0, 4],
+    [1, 3],
+    [1, 5],
+    [2, 3],
+    [2, 6],
+    [3, 7],
+    [4, 5],
+    [4, 6],
+    [5, 7],
+    [6, 7],
 ];
 
 impl Frame {
     /// Pixels that an upright box may cover; none where it is out of view.
-    pub(super) fn bounds(&self, view: &View, base: [f32; 3], turn: [f32; 2], half: [f32; 2], top: f32) -> Option<Bounds> {
+    pub(super) fn bounds(
+        &self,
+        view: &View,
+        base: [f32; 3],
+        turn: [f32; 2],
+        half: [f32; 2],
+        top: f32,
+    ) -> Option<Bounds> {
         let [sin, cos] = turn;
         let mut corners = [[0.0; 3]; 8];
         for (i, corner) in corners.iter_mut().enumerate() {
             let x = if i & 1 == 0 { -half[0] } else { half[0] };
             let y = if i & 2 == 0 { -half[1] } else { half[1] };
             let z = if i & 4 == 0 { 0.0 } else { top };
-            *corner = view.in_camera([base[0] + x * cos - y * sin, base[1] + x * sin + y * cos, base[2] + z]);
+            *corner = view.in_camera([
+                base[0] + x * cos - y * sin,
+                base[1] + x * sin + y * cos,
+                base[2] + z,
+            ]);
         }
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
         let mut take = |p: [f32; 3]| {
@@ -112,8 +139,16 @@ impl Frame {
     /// Pixels inside a rectangle of tangents, with a margin for the lens.
     fn pixels(&self, low: [f32; 2], high: [f32; 2]) -> Bounds {
         let within = |k: usize, t: f32| t.clamp(self.extent.low[k], self.extent.high[k]);
-        let us = [within(0, low[0]), within(0, 0.0_f32.clamp(low[0], high[0])), within(0, high[0])];
-        let vs = [within(1, low[1]), within(1, 0.0_f32.clamp(low[1], high[1])), within(1, high[1])];
+        let us = [
+            within(0, low[0]),
+            within(0, 0.0_f32.clamp(low[0], high[0])),
+            within(0, high[0]),
+        ];
+        let vs = [
+            within(1, low[1]),
+            within(1, 0.0_f32.clamp(low[1], high[1])),
+            within(1, high[1]),
+        ];
         let (mut x, mut y) = ([f64::MAX, f64::MIN], [f64::MAX, f64::MIN]);
         for u in us {
             for v in vs {
@@ -131,7 +166,10 @@ impl Frame {
                 (high + margin + 1.0).clamp(0.0, size as f64) as usize,
             ]
         };
-        Bounds { x: range(x, self.width), y: range(y, self.height) }
+        Bounds {
+            x: range(x, self.width),
+            y: range(y, self.height),
+        }
     }
 }
 
@@ -158,10 +196,21 @@ impl DepthBuffer {
     }
 
     /// Draws one part; `id` is not 0.
-    pub(super) fn draw(&mut self, part: &Part, id: u32, frame: &Frame, view: &View, rays: &[[f32; 3]], textures: &Textures) {
+    pub(super) fn draw(
+        &mut self,
+        part: &Part,
+        id: u32,
+        frame: &Frame,
+        view: &View,
+        rays: &[[f32; 3]],
+        textures: &Textures,
+    ) {
         let half = part.half_extent();
-        let Some(bounds) = frame.bounds(view, part.base, [part.sin, part.cos], half, part.top()) else { return };
+        let Some(bounds) = frame.bounds(view, part.base, [part.sin, part.cos], half, part.top()) else {
+            return;
+        };
         let nearest = nearest_m(part, view.origin);
+        let seen = Seen::new(part, view.origin);
         for y in bounds.y[0]..bounds.y[1] {
             let row = y * frame.width;
             for i in row + bounds.x[0]..row + bounds.x[1] {
@@ -169,8 +218,8 @@ impl DepthBuffer {
                 if limit <= nearest {
                     continue;
                 }
-                if let Some(hit) = part.meet(view.origin, rays[i], limit, textures) {
-                    self.distance[i] = hit.distance;
+                if let Some(distance) = seen.distance(rays[i], limit, textures) {
+                    self.distance[i] = distance;
                     self.part[i] = id;
                 }
             }
@@ -182,6 +231,11 @@ impl DepthBuffer {
 pub(super) fn nearest_m(part: &Part, origin: [f32; 3]) -> f32 {
     let (dx, dy) = (origin[0] - part.base[0], origin[1] - part.base[1]);
     let x = (dx * part.cos + dy * part.sin).abs() - part.half[0];
-    let y = (dy * part.cos - dx * part.sin).abs() - if part.shape == Shape::Post { part.half[0] } else { part.half[1] };
+    let y = (dy * part.cos - dx * part.sin).abs()
+        - if part.shape == Shape::Post {
+            part.half[0]
+        } else {
+            part.half[1]
+        };
     x.max(0.0).hypot(y.max(0.0))
 }

@@ -43,10 +43,10 @@ struct Section {
 
 /// A side street: where its middle meets the road, half its width, and on which side (0 left, 1 right).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SideStreet {
-    pub(super) s: f32,
-    pub(super) half: f32,
-    pub(super) side: usize,
+struct SideStreet {
+    s: f32,
+    half: f32,
+    side: usize,
 }
 
 /// Centre line and edges.
@@ -56,7 +56,6 @@ pub(super) struct Road {
     sections: Vec<Section>,
     s_by_x: Vec<f32>,
     x0: f64,
-    pub(super) streets: Vec<SideStreet>,
 }
 
 impl Road {
@@ -79,7 +78,12 @@ impl Road {
             }
             s_by_x.push((i as f64 * STEP_M - BEHIND_M) as f32);
         }
-        Self { samples, sections, s_by_x, x0, streets }
+        Self {
+            samples,
+            sections,
+            s_by_x,
+            x0,
+        }
     }
 
     /// Position and heading of the centre line.
@@ -90,7 +94,11 @@ impl Road {
         let f = (s + BEHIND_M) / STEP_M - i as f64;
         let (a, b) = (self.samples[i], self.samples[i + 1]);
         if !(0.0..=1.0).contains(&f) {
-            let (from, run) = if f < 0.0 { (a, f * STEP_M) } else { (b, (f - 1.0) * STEP_M) };
+            let (from, run) = if f < 0.0 {
+                (a, f * STEP_M)
+            } else {
+                (b, (f - 1.0) * STEP_M)
+            };
             let (sin, cos) = from.heading.sin_cos();
             return (from.x + run * cos, from.y + run * sin, from.heading);
         }
@@ -141,7 +149,8 @@ impl Road {
     /// Half-width and side-street gap at `(s, side)`.
     #[inline]
     fn section(&self, s: f32, side: usize) -> (f32, f32) {
-        let place = ((s + BEHIND_M as f32) * (1.0 / STEP_M as f32)).clamp(0.0, (self.sections.len() - 2) as f32);
+        let place =
+            ((s + BEHIND_M as f32) * (1.0 / STEP_M as f32)).clamp(0.0, (self.sections.len() - 2) as f32);
         let i = place as usize;
         let f = place - i as f32;
         let (a, b) = (&self.sections[i], &self.sections[i + 1]);
@@ -191,7 +200,11 @@ fn centre_line(seed: u32, count: usize, style: &Style) -> Vec<Sample> {
     let (mut x, mut y) = (0.0, 0.0);
     for i in 0..count {
         let s = i as f64 * STEP_M - BEHIND_M;
-        samples.push(Sample { x, y, heading: heading(s) });
+        samples.push(Sample {
+            x,
+            y,
+            heading: heading(s),
+        });
         for k in 0..SUBSTEPS {
             let step = STEP_M / SUBSTEPS as f64;
             let (sin, cos) = heading(s + (k as f64 + 0.5) * step).sin_cos();
@@ -238,7 +251,8 @@ fn section(s: f64, streets: &[SideStreet], style: &Style, seed: u32) -> Section 
     for side in 0..2 {
         let sway = style.width_sway_m * wave(seed ^ (31 + side as u32), s / 70.0);
         // A parking bay widens the road between its ends; it ends well before a mouth.
-        let bay = style.bay_m[side] * (4.0 * (wave(seed ^ (41 + side as u32), s / 45.0) + 0.2)).clamp(0.0, 1.0);
+        let bay =
+            style.bay_m[side] * (4.0 * (wave(seed ^ (41 + side as u32), s / 45.0) + 0.2)).clamp(0.0, 1.0);
         let clear = ((gap[side] - 8.0) / 3.0).clamp(0.0, 1.0);
         half_width[side] = style.half_width_m + sway + bay * clear;
     }

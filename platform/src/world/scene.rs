@@ -9,7 +9,7 @@
     reason = "counts and indices are far below 2^24"
 )]
 
-use super::build::{car, house, hedge, fence, person, post, tree};
+use super::build::{car, fence, hedge, house, person, post, tree};
 use super::noise::{Seeded, wave};
 use super::road::{BEHIND_M, BEYOND_M, Road};
 use super::shape::Part;
@@ -42,7 +42,12 @@ impl Scene {
         let mut random = Seeded::new(seed, 3);
         let end = (length_m + BEYOND_M) as f32;
         for side in 0..2 {
-            let row = Row { road, style, side, end };
+            let row = Row {
+                road,
+                style,
+                side,
+                end,
+            };
             row.houses(&mut scene, &mut random);
             row.barrier(&mut scene, &mut random, style.hedges, true);
             row.barrier(&mut scene, &mut random, style.fences, false);
@@ -68,7 +73,13 @@ impl Scene {
                 (p.base[0] - centre[0]).hypot(p.base[1] - centre[1]) + a.hypot(b)
             })
             .fold(0.0, f32::max);
-        self.objects.push(Object { s, centre, radius, first, count: parts.len() });
+        self.objects.push(Object {
+            s,
+            centre,
+            radius,
+            first,
+            count: parts.len(),
+        });
     }
 
     /// The objects between two places along the road.
@@ -106,7 +117,12 @@ impl Row<'_> {
 
     /// Where front gardens begin.
     fn front_m(&self) -> f32 {
-        self.style.pavement_m[self.side] + if self.style.kind == Kind::Highway { 2.0 } else { 0.3 }
+        self.style.pavement_m[self.side]
+            + if self.style.kind == Kind::Highway {
+                2.0
+            } else {
+                0.3
+            }
     }
 
     /// Walks the side with gaps around `100 / each_hundred` metres.
@@ -124,7 +140,11 @@ impl Row<'_> {
 
     fn houses(&self, scene: &mut Scene, random: &mut Seeded) {
         let style = self.style;
-        let garden = if style.kind == Kind::Urban { random.range(0.2, 4.0) } else { random.range(3.0, 9.0) };
+        let garden = if style.kind == Kind::Urban {
+            random.range(0.2, 4.0)
+        } else {
+            random.range(3.0, 9.0)
+        };
         let mut s = -BEHIND_M as f32;
         let pitch = 100.0 / style.houses.max(0.1);
         while s < self.end {
@@ -133,9 +153,14 @@ impl Row<'_> {
             s += half_front;
             if self.clear(s, half_front + style.pavement_m[self.side] + 1.5) {
                 let set_back = self.front_m() + garden + random.range(0.0, 0.3 * garden) + half_deep;
-                let (x, y, heading) = self.place(s, set_back + if style.kind == Kind::Highway { 20.0 } else { 0.4 });
-                let storeys = random.range(2.0, if style.kind == Kind::Urban { 5.5 } else { 3.2 }).floor();
-                scene.add(s, |parts| house(parts, random, [x, y], heading, [half_front, half_deep], storeys));
+                let (x, y, heading) =
+                    self.place(s, set_back + if style.kind == Kind::Highway { 20.0 } else { 0.4 });
+                let storeys = random
+                    .range(2.0, if style.kind == Kind::Urban { 5.5 } else { 3.2 })
+                    .floor();
+                scene.add(s, |parts| {
+                    house(parts, random, [x, y], heading, [half_front, half_deep], storeys)
+                });
             }
             s += half_front + (pitch - 2.0 * half_front).max(0.3) * random.range(0.6, 1.6);
         }
@@ -145,7 +170,11 @@ impl Row<'_> {
     fn barrier(&self, scene: &mut Scene, random: &mut Seeded, each_hundred: f32, green: bool) {
         let style = self.style;
         let highway = style.kind == Kind::Highway;
-        let height = if green { random.range(0.7, 2.4) } else { random.range(0.5, 1.7) };
+        let height = if green {
+            random.range(0.7, 2.4)
+        } else {
+            random.range(0.5, 1.7)
+        };
         let kind = random.word();
         let length = 4.0;
         // Runs where a slow wave is high enough.
@@ -153,7 +182,9 @@ impl Row<'_> {
         let mut s = -BEHIND_M as f32;
         while s < self.end {
             s += length;
-            if wave(kind, s / 24.0) < least || !self.clear(s, length * 0.5 + style.pavement_m[self.side] + 0.5) {
+            if wave(kind, s / 24.0) < least
+                || !self.clear(s, length * 0.5 + style.pavement_m[self.side] + 0.5)
+            {
                 continue;
             }
             let (x, y, heading) = self.place(s, if highway { 0.8 } else { self.front_m() + 0.5 });
@@ -162,7 +193,15 @@ impl Row<'_> {
                 if green {
                     hedge(parts, random, [x, y], heading, 0.5 * length + 0.1, tall, style);
                 } else {
-                    fence(parts, random, [x, y], heading, 0.5 * length + 0.05, if highway { 0.75 } else { height }, kind);
+                    fence(
+                        parts,
+                        random,
+                        [x, y],
+                        heading,
+                        0.5 * length + 0.05,
+                        if highway { 0.75 } else { height },
+                        kind,
+                    );
                 }
             });
         }
@@ -172,7 +211,11 @@ impl Row<'_> {
         let style = self.style;
         let size = random.range(0.7, 1.25);
         self.walk(random, style.trees, |random, s| {
-            let back = if random.chance(0.35) && style.kind != Kind::Highway { 0.9 } else { self.front_m() + random.range(1.2, 9.0) };
+            let back = if random.chance(0.35) && style.kind != Kind::Highway {
+                0.9
+            } else {
+                self.front_m() + random.range(1.2, 9.0)
+            };
             if self.clear(s, style.pavement_m[self.side] + 1.5) {
                 let (x, y, _) = self.place(s, back);
                 scene.add(s, |parts| tree(parts, random, [x, y], size, style));
@@ -198,7 +241,11 @@ impl Row<'_> {
             if s < free_from || !self.clear(s, 7.0) {
                 return;
             }
-            let bay = self.road.bay(s - 2.5, self.side, style).min(self.road.bay(s + 2.5, self.side, style)) > 0.95;
+            let bay = self
+                .road
+                .bay(s - 2.5, self.side, style)
+                .min(self.road.bay(s + 2.5, self.side, style))
+                > 0.95;
             let width = style.pavement_m[self.side];
             let inside = if bay {
                 -1.05
@@ -265,10 +312,17 @@ impl Traffic {
                 let edge = road.half_width(s, side);
                 let width = style.pavement_m[side];
                 if random.chance(0.12) {
-                    movers.push(Mover::Crosser { s, from_d: sign * (edge + 0.8) });
+                    movers.push(Mover::Crosser {
+                        s,
+                        from_d: sign * (edge + 0.8),
+                    });
                 } else if width > 0.9 {
                     let mps = random.range(0.6, 1.6) * random.pick(&[1.0, -1.0]);
-                    movers.push(Mover::Walker { start_s: s, mps, d: sign * (edge + width * random.range(0.4, 0.9)) });
+                    movers.push(Mover::Walker {
+                        start_s: s,
+                        mps,
+                        d: sign * (edge + width * random.range(0.4, 0.9)),
+                    });
                 }
                 s += 100.0 / style.people * random.range(0.3, 1.7);
             }
@@ -286,7 +340,12 @@ impl Traffic {
                 Mover::Lead { gap_m } => (ego + gap_m, style.ego_d, false, 0.0),
                 Mover::Oncoming { start_s, mps } => {
                     let d = style.oncoming_d.unwrap_or(0.0);
-                    ((f64::from(start_s) - f64::from(mps) * seconds) as f32, d, true, 0.0)
+                    (
+                        (f64::from(start_s) - f64::from(mps) * seconds) as f32,
+                        d,
+                        true,
+                        0.0,
+                    )
                 }
                 Mover::Walker { start_s, mps, d } => {
                     let gone = f64::from(mps) * seconds;
@@ -310,7 +369,11 @@ impl Traffic {
                 }
                 Mover::Walker { .. } | Mover::Crosser { .. } => {
                     let across = matches!(mover, Mover::Crosser { .. });
-                    let yaw = if across { heading - d.signum() * std::f32::consts::FRAC_PI_2 } else { yaw };
+                    let yaw = if across {
+                        heading - d.signum() * std::f32::consts::FRAC_PI_2
+                    } else {
+                        yaw
+                    };
                     let floor = if road.edge(s, d) > 0.0 { style.kerb_m } else { 0.0 };
                     scene.add(s, |parts| person(parts, &mut random, [x, y, floor], yaw, stride));
                 }

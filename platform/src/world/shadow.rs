@@ -13,7 +13,7 @@ use super::ground::Footprint;
 use super::noise::smoothstep;
 use super::road::{BEHIND_M, BEYOND_M, Road};
 use super::scene::Scene;
-use super::shape::{Material, Part};
+use super::shape::{Material, Part, Seen};
 use super::texture::{Textures, level};
 
 const CELL_M: f32 = 0.25;
@@ -31,7 +31,10 @@ impl Shadow {
     /// Casts every part of `scene`; empty where no sun shines.
     pub(super) fn new(scene: &Scene, road: &Road, sun: [f32; 3], length_m: f64, textures: &Textures) -> Self {
         let rows = ((BEHIND_M + length_m + BEYOND_M) as f32 / CELL_M) as usize;
-        let mut shadow = Self { cells: vec![[0; 2]; rows * COLUMNS], rows };
+        let mut shadow = Self {
+            cells: vec![[0; 2]; rows * COLUMNS],
+            rows,
+        };
         for object in &scene.objects {
             for part in &scene.parts[object.first..object.first + object.count] {
                 shadow.cast(part, object.s, road, sun, textures);
@@ -49,7 +52,8 @@ impl Shadow {
         let (cs, cd) = road.locate(f64::from(part.base[0]), f64::from(part.base[1]));
         let [a, b] = part.half_extent();
         let reach = a.hypot(b) + 0.5;
-        let bound = |centre: f32, shift: f32| (centre - reach + shift.min(0.0), centre + reach + shift.max(0.0));
+        let bound =
+            |centre: f32, shift: f32| (centre - reach + shift.min(0.0), centre + reach + shift.max(0.0));
         let (s0, s1) = bound(cs as f32, shift[0]);
         let (d0, d1) = bound(cd as f32, shift[1]);
         let row = |s: f32| ((s + BEHIND_M as f32) / CELL_M).clamp(0.0, self.rows as f32) as usize;
@@ -64,7 +68,11 @@ impl Shadow {
                 let d = (column as f32 + 0.5) * CELL_M - REACH_M;
                 let origin = [x as f32 - d * sin, y as f32 + d * cos, 0.0];
                 let cell = &mut self.cells[row * COLUMNS + column][channel];
-                if *cell < 255 && part.meet(origin, sun, f32::MAX, textures).is_some() {
+                if *cell < 255
+                    && Seen::new(part, origin)
+                        .distance(sun, f32::MAX, textures)
+                        .is_some()
+                {
                     *cell = 255;
                 }
             }
@@ -84,7 +92,12 @@ impl Shadow {
         }
         let (fx, fy) = (x - i as f32, y - j as f32);
         let at = j * COLUMNS + i;
-        let corners = [self.cells[at], self.cells[at + 1], self.cells[at + COLUMNS], self.cells[at + COLUMNS + 1]];
+        let corners = [
+            self.cells[at],
+            self.cells[at + 1],
+            self.cells[at + COLUMNS],
+            self.cells[at + COLUMNS + 1],
+        ];
         if corners == [[0; 2]; 4] {
             return 1.0;
         }
@@ -98,7 +111,12 @@ impl Shadow {
         if leafy <= 0.0 {
             return 1.0 - solid;
         }
-        let leaves = textures.leaves.sample(s * 75.0, d * 75.0, level(foot.along_m * 75.0), level(foot.across_m * 75.0));
+        let leaves = textures.leaves.sample(
+            s * 75.0,
+            d * 75.0,
+            level(foot.along_m * 75.0),
+            level(foot.across_m * 75.0),
+        );
         (1.0 - solid) * (1.0 - smoothstep(0.35, 0.7, leafy * 0.95 + 0.65 * leaves))
     }
 }

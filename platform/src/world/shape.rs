@@ -62,110 +62,243 @@ pub(super) struct Hit {
     pub(super) normal: [f32; 3],
 }
 
-impl Part {
-    /// Whether the ray from `origin` along unit `ray` meets the part before `limit`, and where.
-    #[inline]
-    pub(super) fn meet(&self, origin: [f32; 3], ray: [f32; 3], limit: f32, textures: &Textures) -> Option<Hit> {
-        let (dx, dy) = (origin[0] - self.base[0], origin[1] - self.base[1]);
-        let o = [
-            dx * self.cos + dy * self.sin,
-            dy * self.cos - dx * self.sin,
-            origin[2] - self.base[2],
+/// A part seen from one place: all that does not depend on the ray.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen<'a> {
+    part: &'a Part,
+    /// The eye in the part's axes.
+    eye: [f32; 3],
+    /// Planes of a frustum and the eye's height over each: first those that face the eye.
+    planes: [([f32; 3], f32); 6],
+    facing: usize,
+    /// Of an ellipsoid: one over its radii, the eye in units of them.
+    inverse: [f32; 3],
+    unit_eye: [f32; 3],
+}
+
+#[inline]
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline]
+fn along(from: [f32; 3], ray: [f32; 3], distance: f32) -> [f32; 3] {
+    [
+        from[0] + distance * ray[0],
+        from[1] + distance * ray[1],
+        from[2] + distance * ray[2],
+    ]
+}
+
+impl<'a> Seen<'a> {
+    /// `part` seen from `origin` in world space.
+    pub(super) fn new(part: &'a Part, origin: [f32; 3]) -> Self {
+        let (dx, dy) = (origin[0] - part.base[0], origin[1] - part.base[1]);
+        let eye = [
+            dx * part.cos + dy * part.sin,
+            dy * part.cos - dx * part.sin,
+            origin[2] - part.base[2],
         ];
-        let r = [
-            ray[0] * self.cos + ray[1] * self.sin,
-            ray[1] * self.cos - ray[0] * self.sin,
-            ray[2],
-        ];
-        match self.shape {
-            Shape::Frustum => self.meet_frustum(o, r, limit),
-            Shape::Ellipsoid => self.meet_ellipsoid(o, r, limit, textures),
-            Shape::Post => self.meet_cylinder(o, r, limit, [0, 1, 2], 0.5 * self.height, 0.5 * self.height),
-            Shape::Wheel => {
-                self.meet_cylinder([o[0], o[2] - self.half[0], o[1]], [r[0], r[2], r[1]], limit, [0, 2, 1], 0.0, self.half[1])
+        let mut seen = Self {
+            part,
+            eye,
+            planes: [([0.0; 3], 0.0); 6],
+            facing: 0,
+            inverse: [0.0; 3],
+            unit_eye: [0.0; 3],
+        };
+        match part.shape {
+            Shape::Frustum => seen.sort_planes(),
+            Shape::Ellipsoid => {
+                let radii = [part.half[0], part.half[1], 0.5 * part.height];
+                seen.inverse = radii.map(|r| 1.0 / r);
+                seen.unit_eye = [eye[0] / radii[0], eye[1] / radii[1], eye[2] / radii[2] - 1.0];
             }
+            Shape::Post | Shape::Wheel => {}
         }
+        seen
     }
 
-    #[inline]
-    fn meet_frustum(&self, o: [f32; 3], r: [f32; 3], limit: f32) -> Option<Hit> {
-        let [front, back, flank] = self.lean;
+    fn sort_planes(&mut self) {
+        let part = self.part;
+        let [front, back, flank] = part.lean;
         let planes = [
-            ([1.0, 0.0, front], self.half[0]),
-            ([-1.0, 0.0, back], self.half[0]),
-            ([0.0, 1.0, flank], self.half[1]),
-            ([0.0, -1.0, flank], self.half[1]),
-            ([0.0, 0.0, 1.0], self.height),
+            ([1.0, 0.0, front], part.half[0]),
+            ([-1.0, 0.0, back], part.half[0]),
+            ([0.0, 1.0, flank], part.half[1]),
+            ([0.0, -1.0, flank], part.half[1]),
+            ([0.0, 0.0, 1.0], part.height),
             ([0.0, 0.0, -1.0], 0.0),
         ];
-        let (mut near, mut far, mut face) = (1e-3, limit, 6);
-        for (i, (n, offset)) in planes.iter().enumerate() {
-            let outside = n[0] * o[0] + n[1] * o[1] + n[2] * o[2] - offset;
-            let speed = n[0] * r[0] + n[1] * r[1] + n[2] * r[2];
-            let at = -outside / speed;
-            if speed < -1e-9 {
-                if at > near {
-                    near = at;
-                    face = i;
-                }
-            } else if speed > 1e-9 {
-                far = if at < far { at } else { far };
-            } else if outside > 0.0 {
-                return None;
-            }
-            if near >= far {
-                return None;
+        let mut last = planes.len();
+        for (normal, offset) in planes {
+            let height = dot(normal, self.eye) - offset;
+            if height > 0.0 {
+                self.planes[self.facing] = (normal, height);
+                self.facing += 1;
+            } else {
+                last -= 1;
+                self.planes[last] = (normal, height);
             }
         }
-        if face == 6 {
-            return None;
-        }
-        let n = planes[face].0;
-        let scale = 1.0 / (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
-        Some(Hit {
-            distance: near,
-            point: [0, 1, 2].map(|k| o[k] + near * r[k]),
-            normal: n.map(|c| c * scale),
-        })
     }
 
     #[inline]
-    fn meet_ellipsoid(&self, o: [f32; 3], r: [f32; 3], limit: f32, textures: &Textures) -> Option<Hit> {
-        let radii = [self.half[0], self.half[1], 0.5 * self.height];
-        let centred = [o[0], o[1], o[2] - radii[2]];
-        let p = [0, 1, 2].map(|k| centred[k] / radii[k]);
-        let q = [0, 1, 2].map(|k| r[k] / radii[k]);
-        let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    fn turned(&self, ray: [f32; 3]) -> [f32; 3] {
+        let part = self.part;
+        [
+            ray[0] * part.cos + ray[1] * part.sin,
+            ray[1] * part.cos - ray[0] * part.sin,
+            ray[2],
+        ]
+    }
+
+    /// Distance along the unit `ray` at which the part is met before `limit`.
+    #[inline]
+    pub(super) fn distance(&self, ray: [f32; 3], limit: f32, textures: &Textures) -> Option<f32> {
+        let r = self.turned(ray);
+        match self.part.shape {
+            Shape::Frustum => self.frustum(r, limit).map(|(distance, _)| distance),
+            Shape::Ellipsoid => self.ellipsoid(r, limit, textures),
+            Shape::Post | Shape::Wheel => self.cylinder(r, limit).map(|(distance, _)| distance),
+        }
+    }
+
+    /// Where the unit `ray` meets the part before `limit`.
+    #[inline]
+    pub(super) fn meet(&self, ray: [f32; 3], limit: f32, textures: &Textures) -> Option<Hit> {
+        let r = self.turned(ray);
+        match self.part.shape {
+            Shape::Frustum => {
+                let (distance, face) = self.frustum(r, limit)?;
+                let n = self.planes[face].0;
+                let scale = 1.0 / dot(n, n).sqrt();
+                Some(Hit {
+                    distance,
+                    point: along(self.eye, r, distance),
+                    normal: n.map(|c| c * scale),
+                })
+            }
+            Shape::Ellipsoid => {
+                let distance = self.ellipsoid(r, limit, textures)?;
+                Some(Hit {
+                    distance,
+                    point: along(self.eye, r, distance),
+                    normal: self.ellipsoid_normal(r, distance),
+                })
+            }
+            Shape::Post | Shape::Wheel => {
+                let (distance, normal) = self.cylinder(r, limit)?;
+                Some(Hit {
+                    distance,
+                    point: along(self.eye, r, distance),
+                    normal,
+                })
+            }
+        }
+    }
+
+    /// The farthest of the facing planes is where a convex solid is entered, if the place lies behind all others.
+    #[inline]
+    fn frustum(&self, r: [f32; 3], limit: f32) -> Option<(f32, usize)> {
+        let (mut near, mut face) = (0.0, 0);
+        for (i, (normal, height)) in self.planes[..self.facing].iter().enumerate() {
+            let speed = dot(*normal, r);
+            if speed > -1e-9 {
+                return None;
+            }
+            let at = -height / speed;
+            if at > near {
+                near = at;
+                face = i;
+            }
+        }
+        if near <= 1e-3 || near >= limit {
+            return None;
+        }
+        let inside = self.planes[self.facing..]
+            .iter()
+            .all(|(normal, height)| height + near * dot(*normal, r) <= 0.0);
+        inside.then_some((near, face))
+    }
+
+    #[inline]
+    fn ellipsoid_normal(&self, r: [f32; 3], distance: f32) -> [f32; 3] {
+        let i = self.inverse;
+        let p = along(self.unit_eye, [r[0] * i[0], r[1] * i[1], r[2] * i[2]], distance);
+        let n = [p[0] * i[0], p[1] * i[1], p[2] * i[2]];
+        let scale = 1.0 / dot(n, n).sqrt().max(1e-9);
+        n.map(|c| c * scale)
+    }
+
+    #[inline]
+    fn ellipsoid(&self, r: [f32; 3], limit: f32, textures: &Textures) -> Option<f32> {
+        let i = self.inverse;
+        let (p, q) = (self.unit_eye, [r[0] * i[0], r[1] * i[1], r[2] * i[2]]);
         let (a, b, c) = (dot(q, q), dot(p, q), dot(p, p) - 1.0);
         let under = b * b - a * c;
         if under <= 0.0 || c < 0.0 || b > 0.0 {
             return None;
         }
-        let root = under.sqrt();
-        let distance = (-b - root) / a;
+        let distance = (-b - under.sqrt()) / a;
         if distance >= limit {
             return None;
         }
-        let point = [0, 1, 2].map(|k| o[k] + distance * r[k]);
-        let n = [0, 1, 2].map(|k| (p[k] + distance * q[k]) / radii[k]);
-        let scale = 1.0 / dot(n, n).sqrt().max(1e-9);
-        let normal = n.map(|c| c * scale);
-        if self.material == Material::Foliage {
-            // Depth of the ray in the crown, 0 at the silhouette: thin foliage lets the view through between leaves.
+        // Depth of the ray in a crown, 0 at the silhouette: thin foliage lets the view through between leaves.
+        if self.part.material == Material::Foliage && under < 0.7 * a {
             let depth = under / a;
-            if depth < 0.7 {
-                let (fine, coarse) = (level(distance * 0.06), level(distance * 0.012));
-                let (u, v) = self.foliage_texel(point, normal);
-                let leaves = textures.leaves.sample(u, v, fine, fine);
-                let clumps = textures.leaves.sample(0.2 * u, 0.2 * v, coarse, coarse);
-                if 0.35 * leaves + 0.5 * clumps + 0.3 > depth * 1.7 {
-                    return None;
-                }
+            let (fine, coarse) = (level(distance * 0.06), level(distance * 0.012));
+            let (u, v) = self
+                .part
+                .foliage_texel(along(self.eye, r, distance), self.ellipsoid_normal(r, distance));
+            let leaves = textures.leaves.sample(u, v, fine, fine);
+            let clumps = textures.leaves.sample(0.2 * u, 0.2 * v, coarse, coarse);
+            if 0.35 * leaves + 0.5 * clumps + 0.3 > depth * 1.7 {
+                return None;
             }
         }
-        Some(Hit { distance, point, normal })
+        Some(distance)
     }
 
+    /// A post about z or a wheel about y: distance and normal.
+    #[inline]
+    fn cylinder(&self, r: [f32; 3], limit: f32) -> Option<(f32, [f32; 3])> {
+        let part = self.part;
+        let radius = part.half[0];
+        let upright = part.shape == Shape::Post;
+        let [x, y, z] = self.eye;
+        // First two: across the axis; third: along it, from the middle.
+        let (o, r, half) = if upright {
+            ([x, y, z - 0.5 * part.height], r, 0.5 * part.height)
+        } else {
+            ([x, z - radius, y], [r[0], r[2], r[1]], part.half[1])
+        };
+        let back = |n: [f32; 3]| if upright { n } else { [n[0], n[2], n[1]] };
+        let a = r[0] * r[0] + r[1] * r[1];
+        let b = o[0] * r[0] + o[1] * r[1];
+        let c = o[0] * o[0] + o[1] * o[1] - radius * radius;
+        let under = b * b - a * c;
+        if under <= 0.0 || a < 1e-12 {
+            return None;
+        }
+        let at = (-b - under.sqrt()) / a;
+        if at > 1e-3 && at < limit && (o[2] + at * r[2]).abs() <= half {
+            return Some((
+                at,
+                back([(o[0] + at * r[0]) / radius, (o[1] + at * r[1]) / radius, 0.0]),
+            ));
+        }
+        if r[2].abs() < 1e-9 {
+            return None;
+        }
+        let side = -r[2].signum();
+        let at = (half * side - o[2]) / r[2];
+        let (x, y) = (o[0] + at * r[0], o[1] + at * r[1]);
+        (at > 1e-3 && at < limit && x * x + y * y <= radius * radius).then(|| (at, back([0.0, 0.0, side])))
+    }
+}
+
+impl Part {
     /// Texel of a point on foliage, projected along the axis its surface faces most; leaves hide the seams.
     pub(super) fn foliage_texel(&self, point: [f32; 3], normal: [f32; 3]) -> (f32, f32) {
         let [x, y, z] = point;
@@ -180,41 +313,6 @@ impl Part {
         (110.0 * u + self.detail * 512.0, 110.0 * v + self.detail * 911.0)
     }
 
-    /// A cylinder about the third of `o`'s axes, within `centre +- half` of it; `order` puts the axes back in place.
-    #[inline]
-    fn meet_cylinder(&self, o: [f32; 3], r: [f32; 3], limit: f32, order: [usize; 3], centre: f32, half: f32) -> Option<Hit> {
-        let radius = self.half[0];
-        let lift = if order[1] == 2 { radius } else { 0.0 };
-        let place = |at: f32, normal: [f32; 3]| {
-            let (mut point, mut turned) = ([0.0; 3], [0.0; 3]);
-            for k in 0..3 {
-                point[order[k]] = o[k] + at * r[k];
-                turned[order[k]] = normal[k];
-            }
-            point[2] += lift;
-            Hit { distance: at, point, normal: turned }
-        };
-        let a = r[0] * r[0] + r[1] * r[1];
-        let b = o[0] * r[0] + o[1] * r[1];
-        let c = o[0] * o[0] + o[1] * o[1] - radius * radius;
-        let under = b * b - a * c;
-        if under <= 0.0 || a < 1e-12 {
-            return None;
-        }
-        let at = (-b - under.sqrt()) / a;
-        let along = o[2] + at * r[2];
-        if at > 1e-3 && at < limit && (along - centre).abs() <= half {
-            return Some(place(at, [(o[0] + at * r[0]) / radius, (o[1] + at * r[1]) / radius, 0.0]));
-        }
-        if r[2].abs() < 1e-9 {
-            return None;
-        }
-        let cap = centre - half * r[2].signum();
-        let at = (cap - o[2]) / r[2];
-        let (x, y) = (o[0] + at * r[0], o[1] + at * r[1]);
-        (at > 1e-3 && at < limit && x * x + y * y <= radius * radius).then(|| place(at, [0.0, 0.0, -r[2].signum()]))
-    }
-
     /// Half extents of the upright box around the part, in its own axes.
     pub(super) fn half_extent(&self) -> [f32; 2] {
         match self.shape {
@@ -225,6 +323,10 @@ impl Part {
 
     /// Height of the part's top over its base.
     pub(super) fn top(&self) -> f32 {
-        if self.shape == Shape::Wheel { 2.0 * self.half[0] } else { self.height }
+        if self.shape == Shape::Wheel {
+            2.0 * self.half[0]
+        } else {
+            self.height
+        }
     }
 }

@@ -129,18 +129,43 @@ impl Style {
         // Left-hand traffic in a third of the worlds.
         let traffic_side = if r.chance(0.33) { 1.0 } else { -1.0 };
         let lane = if highway { r.range(-0.45, 0.3) } else { 0.5 } * half_width_m;
-        let ego_d = traffic_side * if residential { lane * r.range(0.6, 1.0) } else { lane };
-        let bay = |r: &mut Seeded| if !rural && !highway && r.chance(0.5) { r.range(1.9, 2.3) } else { 0.0 };
+        let ego_d = traffic_side
+            * if residential {
+                lane * r.range(0.6, 1.0)
+            } else {
+                lane
+            };
+        let bay = |r: &mut Seeded| {
+            if !rural && !highway && r.chance(0.5) {
+                r.range(1.9, 2.3)
+            } else {
+                0.0
+            }
+        };
         let bay_m = [bay(&mut r), bay(&mut r)];
         let width = |r: &mut Seeded| {
-            if rural || highway || (residential && r.chance(0.25)) { 0.0 } else { r.range(1.2, 3.5) }
+            if rural || highway || (residential && r.chance(0.25)) {
+                0.0
+            } else {
+                r.range(1.2, 3.5)
+            }
         };
         let pavement_m = [width(&mut r), width(&mut r)];
         let kerbless = rural || highway || (residential && r.chance(0.15));
 
-        let road_tone = if r.chance(0.25) { r.range(0.05, 0.09) } else { r.range(0.09, 0.26) };
+        let road_tone = if r.chance(0.25) {
+            r.range(0.05, 0.09)
+        } else {
+            r.range(0.09, 0.26)
+        };
         let road_rgb = tint(&mut r, road_tone, 0.05);
-        let pavement = r.pick(&[Surface::Slabs, Surface::Slabs, Surface::Tarmac, Surface::Tarmac, Surface::Gravel]);
+        let pavement = r.pick(&[
+            Surface::Slabs,
+            Surface::Slabs,
+            Surface::Tarmac,
+            Surface::Tarmac,
+            Surface::Gravel,
+        ]);
         let pavement_rgb = match pavement {
             // As in many streets, hardly told from the road by colour alone.
             Surface::Tarmac => {
@@ -175,21 +200,45 @@ impl Style {
         let gutter_rgb = tint(&mut r, gutter_tone, 0.04);
         let yellow = r.chance(0.12);
         let marking_tone = r.range(0.45, 0.75);
-        let marking_rgb = [marking_tone, marking_tone * if yellow { 0.75 } else { 0.98 }, marking_tone * if yellow { 0.2 } else { 0.95 }];
+        let marking_rgb = [
+            marking_tone,
+            marking_tone * if yellow { 0.75 } else { 0.98 },
+            marking_tone * if yellow { 0.2 } else { 0.95 },
+        ];
         let leaf_tone = r.range(0.5, 1.2);
-        let leaf_rgb = [0.1 * leaf_tone * r.range(0.6, 1.5), 0.14 * leaf_tone, 0.045 * leaf_tone * r.range(0.6, 1.4)];
+        let leaf_rgb = [
+            0.1 * leaf_tone * r.range(0.6, 1.5),
+            0.14 * leaf_tone,
+            0.045 * leaf_tone * r.range(0.6, 1.4),
+        ];
 
         let sunny = r.chance(0.65);
         let height = r.range(0.3, 1.15);
         let azimuth = r.range(-std::f32::consts::PI, std::f32::consts::PI);
-        let sun = [azimuth.cos() * height.cos(), azimuth.sin() * height.cos(), height.sin()];
+        let sun = [
+            azimuth.cos() * height.cos(),
+            azimuth.sin() * height.cos(),
+            height.sin(),
+        ];
         let power = if sunny { r.range(1.5, 4.5) } else { 0.0 };
         let warm = 0.25 * (0.7 - height).max(0.0) + r.range(0.0, 0.1);
         let sun_rgb = [power * (1.0 + warm), power, power * (1.0 - 1.5 * warm)];
-        let sky_tone = if sunny { r.range(0.5, 0.95) } else { r.range(0.8, 1.1) };
-        let blue = if sunny { r.range(0.05, 0.3) } else { r.range(0.0, 0.08) };
+        let sky_tone = if sunny {
+            r.range(0.5, 0.95)
+        } else {
+            r.range(0.8, 1.1)
+        };
+        let blue = if sunny {
+            r.range(0.05, 0.3)
+        } else {
+            r.range(0.0, 0.08)
+        };
         let sky_light_rgb = [sky_tone * (1.0 - blue), sky_tone, sky_tone * (1.0 + blue)];
-        let clouds = if sunny { r.range(0.0, 0.7) } else { r.range(0.8, 1.0) };
+        let clouds = if sunny {
+            r.range(0.0, 0.7)
+        } else {
+            r.range(0.8, 1.0)
+        };
         let light = sky_tone + power * height.sin();
         let marked = match kind {
             Kind::Residential => 0.3,
@@ -206,13 +255,29 @@ impl Style {
             ego_d,
             oncoming_d: (!highway).then_some(-traffic_side * 0.5 * half_width_m),
             bend_rad: r.range(0.1, if highway { 0.35 } else { 0.75 }),
-            bend_length_m: if highway { r.range(180.0, 300.0) } else { r.range(75.0, 150.0) },
-            side_street_every_m: if urban || residential { r.range(45.0, 160.0) } else { 0.0 },
-            kerb_m: if kerbless { r.range(0.0, 0.03) } else { r.range(0.08, 0.15) },
+            bend_length_m: if highway {
+                r.range(180.0, 300.0)
+            } else {
+                r.range(75.0, 150.0)
+            },
+            side_street_every_m: if urban || residential {
+                r.range(45.0, 160.0)
+            } else {
+                0.0
+            },
+            kerb_m: if kerbless {
+                r.range(0.0, 0.03)
+            } else {
+                r.range(0.08, 0.15)
+            },
             pavement_m,
             pavement,
             beyond,
-            gutter_m: if !kerbless && r.chance(0.5) { r.range(0.15, 0.4) } else { 0.0 },
+            gutter_m: if !kerbless && r.chance(0.5) {
+                r.range(0.15, 0.4)
+            } else {
+                0.0
+            },
             road_rgb,
             pavement_rgb,
             beyond_rgb,
@@ -229,20 +294,41 @@ impl Style {
             marking_wear: r.range(0.0, 0.8),
             trees: scale * r.range(1.0, if urban { 8.0 } else { 18.0 }),
             houses: if rural { 0.4 } else { scale * r.range(2.0, 6.5) },
-            hedges: scale * if urban { r.range(0.0, 4.0) } else { r.range(1.0, 9.0) },
+            hedges: scale
+                * if urban {
+                    r.range(0.0, 4.0)
+                } else {
+                    r.range(1.0, 9.0)
+                },
             fences: if highway { 25.0 } else { r.range(0.0, 5.0) },
             posts: r.range(1.0, 5.0),
-            parked: if urban || residential { r.range(0.0, 9.0) } else { 0.0 },
-            people: if urban { r.range(1.0, 8.0) } else if residential { r.range(0.0, 3.0) } else { 0.0 },
+            parked: if urban || residential {
+                r.range(0.0, 9.0)
+            } else {
+                0.0
+            },
+            people: if urban {
+                r.range(1.0, 8.0)
+            } else if residential {
+                r.range(0.0, 3.0)
+            } else {
+                0.0
+            },
             oncoming_every_m: r.range(35.0, 200.0),
-            lead_gap_m: r.chance(if highway { 0.7 } else { 0.4 }).then(|| r.range(12.0, 45.0)),
+            lead_gap_m: r
+                .chance(if highway { 0.7 } else { 0.4 })
+                .then(|| r.range(12.0, 45.0)),
             sun,
             sun_rgb,
             sky_light_rgb,
             zenith_rgb: [0.35 * sky_tone, 0.62 * sky_tone, 1.2 * sky_tone],
             horizon_rgb: [1.25 * sky_tone, 1.35 * sky_tone, 1.45 * sky_tone],
             clouds,
-            haze_m: if r.chance(0.2) { r.range(90.0, 250.0) } else { r.range(300.0, 2000.0) },
+            haze_m: if r.chance(0.2) {
+                r.range(90.0, 250.0)
+            } else {
+                r.range(300.0, 2000.0)
+            },
             skyline: r.range(0.01, 0.12),
             exposure: r.range(0.16, 0.3) / (light * (0.5 * road_tone + 0.09)),
         }

@@ -143,7 +143,14 @@ impl Textures {
             speckle
                 + octaves(
                     1,
-                    &[(6, 0.08), (16, 0.09), (32, 0.10), (64, 0.14), (128, 0.24), (256, 0.30)],
+                    &[
+                        (6, 0.08),
+                        (16, 0.09),
+                        (32, 0.10),
+                        (64, 0.14),
+                        (128, 0.24),
+                        (256, 0.30),
+                    ],
                     x,
                     y,
                 )
@@ -161,7 +168,15 @@ impl Textures {
         let stains = Tile::new(|x, y| {
             octaves(
                 6,
-                &[(3, 0.35), (7, 0.3), (15, 0.25), (33, 0.2), (70, 0.15), (150, 0.12), (256, 0.1)],
+                &[
+                    (3, 0.35),
+                    (7, 0.3),
+                    (15, 0.25),
+                    (33, 0.2),
+                    (70, 0.15),
+                    (150, 0.12),
+                    (256, 0.1),
+                ],
                 x,
                 y,
             )
@@ -180,13 +195,20 @@ impl Textures {
         });
         let bricks = Tile::new(|x, y| {
             let row = y as u32 / 16;
-            let shifted = (x + if row % 2 == 0 { 32.0 } else { 0.0 }) % SIZE as f32;
+            let shifted = (x + if row.is_multiple_of(2) { 32.0 } else { 0.0 }) % SIZE as f32;
             let near = |c: f32, n: f32| (c % n).min(n - 1.0 - c % n);
             let joint = 1.0 - smoothstep(0.3, 1.6, near(shifted, 64.0).min(near(y, 16.0)));
             0.7 * (unit(hash(11, row * 8 + shifted as u32 / 64)) - 0.5)
                 + 0.35 * joint
                 + octaves(12, &[(40, 0.1), (160, 0.15)], x, y)
         });
-        Self { grain, cracks, stains, leaves, slabs, bricks }
+        Self {
+            grain,
+            cracks,
+            stains,
+            leaves,
+            slabs,
+            bricks,
+        }
     }
 }

@@ -14,7 +14,7 @@ use nalgebra::Point3;
 
 use super::World;
 use super::scene::{NEAR_M, Scene};
-use super::shape::{Part, Shape};
+use super::shape::{Part, Seen, Shape};
 
 /// What a pixel shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +49,11 @@ pub struct GridSpec {
 
 impl Default for GridSpec {
     fn default() -> Self {
-        Self { cell_m: 0.2, ahead_m: 40.0, side_m: 12.0 }
+        Self {
+            cell_m: 0.2,
+            ahead_m: 40.0,
+            side_m: 12.0,
+        }
     }
 }
 
@@ -69,7 +73,10 @@ impl GridSpec {
     /// Centre of a cell in vehicle space, metres ahead and to the left.
     #[must_use]
     pub fn centre(&self, row: usize, column: usize) -> (f64, f64) {
-        ((row as f64 + 0.5) * self.cell_m, (column as f64 + 0.5) * self.cell_m - self.side_m)
+        (
+            (row as f64 + 0.5) * self.cell_m,
+            (column as f64 + 0.5) * self.cell_m - self.side_m,
+        )
     }
 }
 
@@ -88,9 +95,14 @@ impl World {
         let eye = world_from_camera.translation.vector;
         let origin = [eye.x as f32, eye.y as f32, eye.z as f32];
         let mut movers = Scene::default();
-        self.traffic.fill(&mut movers, &self.road, &self.style, ego.road_m, seconds);
+        self.traffic
+            .fill(&mut movers, &self.road, &self.style, ego.road_m, seconds);
         let s = ego.road_m as f32;
-        let still = self.scene.between(s - NEAR_M, s + NEAR_M).iter().map(|o| (o, &self.scene.parts));
+        let still = self
+            .scene
+            .between(s - NEAR_M, s + NEAR_M)
+            .iter()
+            .map(|o| (o, &self.scene.parts));
         let reach = (spec.ahead_m.hypot(spec.side_m) + 5.0) as f32;
         let near: Vec<&[Part]> = still
             .chain(movers.objects.iter().map(|o| (o, &movers.parts)))
@@ -104,7 +116,11 @@ impl World {
                 let ground = ego.world_from_vehicle * Point3::new(ahead, left, 0.0);
                 let (s, d) = self.road.locate(ground.x, ground.y);
                 let on_road = self.road.edge(s as f32, d as f32) <= 0.0;
-                let height = if on_road { 0.0 } else { f64::from(self.style.kerb_m) };
+                let height = if on_road {
+                    0.0
+                } else {
+                    f64::from(self.style.kerb_m)
+                };
                 let place = Point3::new(ground.x, ground.y, height);
                 if !sees(camera, &(camera_from_world * place)) {
                     continue;
@@ -118,7 +134,11 @@ impl World {
                 for object in &near {
                     if object.iter().any(|part| stands_on(part, target)) {
                         taken = true;
-                    } else if object.iter().any(|part| part.meet(origin, ray, far - 0.01, &self.textures).is_some()) {
+                    } else if object.iter().any(|part| {
+                        Seen::new(part, origin)
+                            .distance(ray, far - 0.01, &self.textures)
+                            .is_some()
+                    }) {
                         seen = false;
                         break;
                     }
@@ -147,9 +167,10 @@ impl World {
 fn sees(camera: &Camera, point: &Point3<f64>) -> bool {
     let (width, height) = (camera.width as f64, camera.height as f64);
     point.z > 0.1
-        && camera.lens.project(&point.coords).is_some_and(|p| {
-            (-0.5..width - 0.5).contains(&p.x) && (-0.5..height - 0.5).contains(&p.y)
-        })
+        && camera
+            .lens
+            .project(&point.coords)
+            .is_some_and(|p| (-0.5..width - 0.5).contains(&p.x) && (-0.5..height - 0.5).contains(&p.y))
 }
 
 /// Whether a part stands over a point of the ground.

@@ -75,7 +75,12 @@ impl SimWheels {
         let mut random = Seeded::new(encoders.seed, 8);
         let radius = [0; 4].map(|_| 1.0 + encoders.radius_error * f64::from(random.range(-1.0, 1.0)));
         let start = [0; 4].map(|_| f64::from(random.range(0.0, encoders.modulus as f32)));
-        Self { encoders: encoders.clone(), radius, start, next: 0 }
+        Self {
+            encoders: encoders.clone(),
+            radius,
+            start,
+            next: 0,
+        }
     }
 
     /// The readings not taken yet with stamps up to `seconds`, oldest first.
