@@ -53,7 +53,7 @@ pub fn run(command: &EvalCommand) -> Result<(), Failure> {
             range,
             json,
         } => {
-            if !(*range > 0.0) {
+            if range.is_nan() || *range <= 0.0 {
                 let message = format!("--range {range} holds no cell");
                 return Err(BadInput::new(message, "give metres ahead, such as --range 30").into());
             }

@@ -19,11 +19,13 @@ pub enum Failure {
 impl Failure {
     /// A fault of what the user gave.
     pub fn bad_input(error: impl Diagnostic + Send + Sync + 'static) -> Self {
+        set_printer();
         Self::BadInput(Report::new(error))
     }
 
     /// A fault of the program or its machine.
     pub fn internal(error: impl Diagnostic + Send + Sync + 'static) -> Self {
+        set_printer();
         Self::Internal(Report::new(error))
     }
 }
@@ -46,7 +48,20 @@ impl From<RecordingError> for Failure {
 /// Prints the fault, if there is one, and gives the exit code.
 #[must_use]
 pub fn finish(result: Result<(), Failure>) -> ExitCode {
-    // Lines are never wrapped: a path broken in two cannot be searched for or copied. Fails where a hook is set already.
+    let (report, code) = match result {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(Failure::BadInput(report)) => (report, 2),
+        Err(Failure::Internal(report)) => (report, 1),
+    };
+    eprintln!("{report:?}");
+    ExitCode::from(code)
+}
+
+/// Sets how reports are printed; a report remembers what was set when it was made.
+///
+/// Lines are never wrapped: a path broken in two cannot be searched for or copied.
+fn set_printer() {
+    // Fails where it was set already, by an earlier failure or by a program around this one.
     let _ = miette::set_hook(Box::new(|_| {
         Box::new(
             MietteHandlerOpts::new()
@@ -55,11 +70,4 @@ pub fn finish(result: Result<(), Failure>) -> ExitCode {
                 .build(),
         )
     }));
-    let (report, code) = match result {
-        Ok(()) => return ExitCode::SUCCESS,
-        Err(Failure::BadInput(report)) => (report, 2),
-        Err(Failure::Internal(report)) => (report, 1),
-    };
-    eprintln!("{report:?}");
-    ExitCode::from(code)
 }

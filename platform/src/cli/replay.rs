@@ -58,6 +58,7 @@ pub fn open_inputs(args: &ReplayArgs) -> Result<ReplayInputs, Failure> {
         args.truth.truth_poses.as_deref(),
         args.truth.truth_masks.as_deref(),
         args.truth.truth,
+        frames.size(),
     )?;
     Ok(ReplayInputs {
         config,

@@ -1,1 +1,264 @@
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+#![allow(clippy::cast_possible_wrap, reason = "tests")]
 
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use freespace::frame::Lens;
+use nalgebra::Vector2;
+
+use super::*;
+
+const SHIPPED: [(&str, &str); 4] = [
+    ("kitti", include_str!("../../../config/kitti.toml")),
+    ("camvid", include_str!("../../../config/camvid.toml")),
+    ("toyota", include_str!("../../../config/toyota.toml")),
+    ("demo", include_str!("../../../config/demo.toml")),
+];
+const SCHEMA: &str = include_str!("../../../config/freespace.schema.json");
+
+fn shipped(name: &str) -> &'static str {
+    SHIPPED.iter().find(|(n, _)| *n == name).unwrap().1
+}
+
+fn parse(text: &str) -> Result<Config, BadInput> {
+    Config::parse(Path::new("config/car.toml"), text)
+}
+
+#[test]
+fn shipped_configurations_are_valid() {
+    for (name, text) in SHIPPED {
+        let config = parse(text).unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(config.deadline.publish_micros(), 500_000, "{name}");
+        assert!(config.network.manifest.starts_with("config"), "{name}");
+    }
+}
+
+#[test]
+fn kitti_describes_its_wheel_counters() {
+    let Wheels::Can(wheels) = parse(shipped("kitti")).unwrap().wheels() else {
+        panic!("no CAN wheels");
+    };
+    assert_eq!(wheels.dbc, Path::new("config/wheels_hyundai.dbc"));
+    assert_eq!(wheels.signals.names()[0], "WHL_PUL_FL");
+    assert_eq!(
+        (wheels.odometer.modulus, wheels.odometer.timeout_micros),
+        (256, 200_000)
+    );
+    assert_eq!(wheels.direction.unwrap().backward, 2);
+}
+
+#[test]
+fn working_image_keeps_the_aspect_within_the_networks_pixels() {
+    let config = parse(shipped("kitti")).unwrap();
+    let size = |width, height| ImageSize { width, height };
+    assert_eq!(config.working_size(1242, 375), size(621, 188));
+    assert_eq!(config.working_size(480, 360), size(480, 360));
+    assert_eq!(config.working_size(640, 480), size(480, 360));
+    assert_eq!(
+        parse(shipped("demo")).unwrap().working_size(640, 480),
+        size(480, 360)
+    );
+}
+
+#[test]
+fn field_of_view_spans_the_image() {
+    let lens = parse(shipped("camvid"))
+        .unwrap()
+        .camera_for(Path::new("."), 480, 360)
+        .unwrap()
+        .lens;
+    let edge = lens.unproject(&Vector2::new(-0.5, 179.5)).unwrap();
+    assert!((edge.x.atan2(edge.z).to_degrees() + 30.0).abs() < 1e-9);
+    // Anamorphic: the height of 16:9 at 60 degrees wide.
+    let top = lens.unproject(&Vector2::new(239.5, -0.5)).unwrap();
+    assert!((top.y / top.z / (edge.x / edge.z) - 9.0 / 16.0).abs() < 1e-6);
+}
+
+#[test]
+fn calibration_of_the_folder_is_the_lens() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = parse(shipped("kitti")).unwrap();
+    let lens = |text: &str| {
+        std::fs::write(folder.path().join("calib.txt"), text).unwrap();
+        config
+            .camera_for(folder.path(), 1242, 375)
+            .map(|camera| camera.lens)
+    };
+    let good = lens("P0: 721.5 0 609.5 0 0 721.5 172.8 0 0 0 1 0\n").unwrap();
+    assert_eq!(good, Lens::pinhole(721.5, 721.5, 609.5, 172.8));
+    for (text, wanted) in [
+        ("P1: 1 2 3\n", "no line that begins with `P0:`"),
+        (
+            "\nP0: 721.5 0 x 0 0 721.5 172.8 0 0 0 1 0\n",
+            "calib.txt:2: `x` is not a number",
+        ),
+        ("P0: 721.5 0 609.5 0 0 721.5 172.8\n", "7 numbers"),
+    ] {
+        let error = lens(text).unwrap_err();
+        assert!(error.message().contains(wanted), "{error}");
+    }
+    std::fs::remove_file(folder.path().join("calib.txt")).unwrap();
+    let error = config.camera_for(folder.path(), 1242, 375).unwrap_err();
+    assert!(error.message().contains("calib.txt") && error.fix().contains("[camera.lens]"));
+}
+
+#[test]
+fn faults_name_the_line_and_the_fix() {
+    let cases = [
+        (
+            "heigth_m = 1.65",
+            "+0|unknown key `heigth_m` in [camera.mount]",
+            "did you mean `height_m`?",
+        ),
+        ("height_m = \"1.65\"", "+0|invalid type", "config/kitti.toml"),
+        (
+            "height_m = 165",
+            "+0|`camera.mount.height_m` is 165",
+            "between 0.2 and 5 metres",
+        ),
+        (
+            "height_m = nan",
+            "+0|`camera.mount.height_m` is NaN",
+            "between 0.2 and 5 metres",
+        ),
+        (
+            "",
+            "-1|key `height_m` is missing in [camera.mount]",
+            "add `height_m`",
+        ),
+        ("height_m = 1.65\nheight_m = 2.0", "+1|duplicate key", ""),
+        ("height_m 1.65", "+0|", ""),
+    ];
+    let (number, line) = shipped("kitti")
+        .lines()
+        .enumerate()
+        .find(|(_, line)| line.starts_with("height_m"))
+        .unwrap();
+    for (replacement, place, fix) in cases {
+        let error = parse(&shipped("kitti").replace(line, replacement)).unwrap_err();
+        let (offset, message) = place.split_once('|').unwrap();
+        let at = number as i64 + 1 + offset.parse::<i64>().unwrap();
+        let wanted = format!("config/car.toml:{at}: {message}");
+        assert!(error.message().starts_with(&wanted), "{replacement}: {error}");
+        assert!(error.fix().contains(fix), "{replacement}: {}", error.fix());
+    }
+}
+
+#[test]
+fn contradictions_are_refused() {
+    let cases = [
+        (
+            "camvid",
+            "source = \"none\"",
+            "source = \"can\"",
+            "`wheels.kind` is missing",
+        ),
+        (
+            "camvid",
+            "source = \"none\"",
+            "message = \"X\"",
+            "source of [wheels] is \"none\"",
+        ),
+        (
+            "camvid",
+            "hfov_deg = 60.0",
+            "hfov_deg = 60.0\nsource = \"calib.txt\"",
+            "exactly one way",
+        ),
+        (
+            "camvid",
+            "hfov_deg = 60.0",
+            "hfov_deg = 60.0\nfx = 3.0",
+            "belong to `model`",
+        ),
+        (
+            "camvid",
+            "hfov_deg = 60.0",
+            "model = \"fish\"",
+            "unknown value \"fish\"",
+        ),
+        (
+            "camvid",
+            "publish_ms = 500.0",
+            "publish_ms = 700.0",
+            "`deadline.publish_ms` is 700",
+        ),
+        ("demo", "modulus = 256", "", "`wheels.modulus` is missing"),
+        (
+            "demo",
+            "k = [-0.12, 0.02, 0.0]",
+            "k = [0.1]",
+            "has 1 coefficients, this model has 3",
+        ),
+        (
+            "toyota",
+            "width = 1164",
+            "",
+            "`width` and `height` of [camera] belong together",
+        ),
+        (
+            "toyota",
+            "mps_per_unit = 0.44704",
+            "",
+            "`wheels.mps_per_unit` is missing",
+        ),
+    ];
+    for (name, from, to, message) in cases {
+        assert!(shipped(name).contains(from), "{name} has no {from}");
+        let error = parse(&shipped(name).replacen(from, to, 1)).unwrap_err();
+        assert!(error.message().contains(message), "{from} -> {to}: {error}");
+        assert!(!error.fix().is_empty());
+    }
+}
+
+/// The keys that the program knows of a table, from its own answer to an unknown one.
+fn known_keys(text: &str) -> BTreeSet<String> {
+    let error = parse(text).unwrap_err();
+    let (_, list) = error.fix().rsplit_once(": ").unwrap_or_else(|| panic!("{error}"));
+    list.split(", ").map(str::to_owned).collect()
+}
+
+#[test]
+fn schema_has_the_keys_that_the_program_knows() {
+    let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
+    let text = format!(
+        "{}\n[working_image]\nwidth = 480\nheight = 360\n",
+        shipped("kitti")
+    );
+    let cases = [
+        ("", "zzz = 1\n[camera]", "[camera]"),
+        ("/camera", "[camera]\nzzz = 1", "[camera]"),
+        ("/camera/mount", "[camera.mount]\nzzz = 1", "[camera.mount]"),
+        ("/camera/lens", "[camera.lens]\nzzz = 1", "[camera.lens]"),
+        ("/wheels", "[wheels]\nzzz = 1", "[wheels]"),
+        ("/wheels/signals", "signals = { zzz = 1, ", "signals = { "),
+        (
+            "/wheels/direction",
+            "[wheels.direction]\nzzz = 1",
+            "[wheels.direction]",
+        ),
+        ("/network", "[network]\nzzz = 1", "[network]"),
+        ("/key_frames", "[key_frames]\nzzz = 1", "[key_frames]"),
+        ("/deadline", "[deadline]\nzzz = 1", "[deadline]"),
+        ("/working_image", "[working_image]\nzzz = 1", "[working_image]"),
+    ];
+    for (pointer, with, place) in cases {
+        let pointer = pointer.replace('/', "/properties/");
+        let described: BTreeSet<String> = schema
+            .pointer(&format!("{pointer}/properties"))
+            .and_then(serde_json::Value::as_object)
+            .unwrap_or_else(|| panic!("the schema has no {pointer}"))
+            .keys()
+            .cloned()
+            .collect();
+        assert_eq!(described, known_keys(&text.replacen(place, with, 1)), "{place}");
+    }
+}
+
+#[test]
+fn frames_of_another_size_are_refused() {
+    let config = parse(shipped("camvid")).unwrap();
+    let error = config.camera_for(Path::new("clip"), 640, 480).unwrap_err();
+    assert!(error.message().contains("frames are 640x480") && error.message().contains("480x360"));
+}

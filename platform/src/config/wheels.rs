@@ -119,7 +119,7 @@ pub enum Wheels {
     /// The simulated road's.
     Sim(WheelConfig),
     /// Those of a CAN message.
-    Can(CanWheels),
+    Can(Box<CanWheels>),
 }
 
 /// Wheel readings in a CAN message.
@@ -180,7 +180,7 @@ impl WheelsSection {
         match self.source {
             WheelSource::None => self.check_empty().map(|()| Wheels::None),
             WheelSource::Sim => Ok(Wheels::Sim(self.odometer()?)),
-            WheelSource::Can => self.can().map(Wheels::Can),
+            WheelSource::Can => self.can().map(Box::new).map(Wheels::Can),
         }
     }
 

@@ -219,6 +219,42 @@ pub fn compare_folders(predictions: &Path, truth: &Path, kind: TruthKind) -> Res
     Ok(score)
 }
 
+/// Checks that every truth file of `folder` has `size` and values of `kind` only.
+///
+/// # Errors
+/// A folder without files, or the first file at fault.
+pub fn check_truth(folder: &Path, kind: TruthKind, width: usize, height: usize) -> Result<(), BadInput> {
+    for path in files_by_stem(folder, "png")?.values() {
+        let truth = read_gray(path)?;
+        if (truth.width as usize, truth.height as usize) != (width, height) {
+            return Err(BadInput::of_file(
+                path,
+                format!(
+                    "is {}x{}, but the frames are {width}x{height}",
+                    truth.width, truth.height
+                ),
+                "compare with truth of the frames' size",
+            ));
+        }
+        let zeros = vec![0; truth.pixels.len()];
+        PixelCount::default()
+            .add(&zeros, &truth.pixels, kind)
+            .map_err(|value| foreign_value(path, kind, value))?;
+    }
+    Ok(())
+}
+
+fn foreign_value(path: &Path, kind: TruthKind, value: u8) -> BadInput {
+    BadInput::of_file(
+        path,
+        format!(
+            "holds the value {value}, which {} truth does not have",
+            kind.word()
+        ),
+        "say what the values mean: --truth camvid (ids 0 to 11), kitti (0, 1, 255) or world",
+    )
+}
+
 fn compare_files(
     path: &Path,
     truth_path: &Path,
@@ -241,16 +277,9 @@ fn compare_files(
             "compare masks of the input's size",
         ));
     }
-    count.add(&mask.pixels, &truth.pixels, kind).map_err(|value| {
-        BadInput::of_file(
-            truth_path,
-            format!(
-                "holds the value {value}, which {} truth does not have",
-                kind.word()
-            ),
-            "say what the values mean: --truth camvid (ids 0 to 11), kitti (0, 1, 255) or world",
-        )
-    })
+    count
+        .add(&mask.pixels, &truth.pixels, kind)
+        .map_err(|value| foreign_value(truth_path, kind, value))
 }
 
 impl TruthKind {

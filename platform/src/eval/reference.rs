@@ -7,6 +7,7 @@ use freespace::space::Pose;
 use super::masks::{self, TruthKind};
 use super::{Truth, trajectory};
 use crate::bad_input::BadInput;
+use crate::config::ImageSize;
 
 /// Truth of a replay, checked before the run.
 #[derive(Clone, Debug, Default)]
@@ -16,7 +17,8 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// The named files, or else `poses.txt` and `labels/` of `source`, where they exist; the latter are KITTI's.
+    /// The named files, or else `poses.txt` and `labels/` of `source`, where they exist; the latter are KITTI's. `size` is that
+    /// of the frames.
     ///
     /// # Errors
     /// Where one is named but missing, or is malformed.
@@ -25,13 +27,14 @@ impl Reference {
         poses: Option<&Path>,
         masks: Option<&Path>,
         kind: TruthKind,
+        size: ImageSize,
     ) -> Result<Self, BadInput> {
         let beside = |name: &str| Some(source.join(name)).filter(|path| path.exists());
         let poses = poses.map(Path::to_owned).or_else(|| beside("poses.txt"));
         let masks = masks.map(|dir| (dir.to_owned(), kind));
         let masks = masks.or_else(|| beside("labels").map(|dir| (dir, TruthKind::Kitti)));
-        if let Some((folder, _)) = &masks {
-            masks::files_by_stem(folder, "png")?;
+        if let Some((folder, kind)) = &masks {
+            masks::check_truth(folder, *kind, size.width, size.height)?;
         }
         let poses = poses.map(|path| trajectory::read(&path)).transpose()?;
         Ok(Self {

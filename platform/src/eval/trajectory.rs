@@ -1,10 +1,12 @@
-//! Trajectories against truth: alignment after Umeyama (1991), root mean square position error, and the relative errors
+//! Trajectories against truth: alignment after Horn (1987) and Umeyama (1991), root mean square position error, and the relative errors
 //! of the KITTI odometry benchmark (Geiger 2012) over segments of 100 to 800 m.
 
 use std::path::Path;
 
 use freespace::space::Pose;
-use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    Matrix3, Matrix4, Point3, Quaternion, Rotation3, SymmetricEigen, Translation3, UnitQuaternion, Vector3,
+};
 
 use crate::bad_input::{BadInput, read_text};
 
@@ -92,31 +94,29 @@ impl Similarity {
     }
 }
 
-/// Umeyama's closed form (1991, equations 40 to 42); none with scale where the points of `from` coincide.
+/// Horn's closed form (1987, section 4) for the rotation, Umeyama's (1991, equation 42) for the scale; none with scale where
+/// the points of `from` coincide.
+///
+/// The quaternion is used because it stays exact on nearly straight paths, where a singular value decomposition through
+/// `A'A` loses half of its digits.
 #[expect(clippy::cast_precision_loss, reason = "pose counts")]
 fn align(from: &[Point3<f64>], to: &[Point3<f64>], with_scale: bool) -> Option<Similarity> {
     let n = from.len() as f64;
     let mean = |points: &[Point3<f64>]| points.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n;
     let (mean_from, mean_to) = (mean(from), mean(to));
-    let mut covariance = Matrix3::zeros();
+    let mut s = Matrix3::zeros();
     let mut variance = 0.0;
     for (a, b) in from.iter().zip(to) {
         let (a, b) = (a.coords - mean_from, b.coords - mean_to);
-        covariance += b * a.transpose() / n;
+        s += a * b.transpose() / n;
         variance += a.norm_squared() / n;
     }
     if with_scale && variance < 1e-9 {
         return None;
     }
-    let svd = covariance.try_svd(true, true, f64::EPSILON, 200)?;
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    let mut sign = Vector3::repeat(1.0);
-    if u.determinant() * v_t.determinant() < 0.0 {
-        sign[svd.singular_values.imin()] = -1.0;
-    }
-    let rotation = u * Matrix3::from_diagonal(&sign) * v_t;
+    let rotation = best_rotation(&s)?;
     let scale = if with_scale {
-        svd.singular_values.component_mul(&sign).sum() / variance
+        (rotation * s).trace() / variance
     } else {
         1.0
     };
@@ -125,6 +125,25 @@ fn align(from: &[Point3<f64>], to: &[Point3<f64>], with_scale: bool) -> Option<S
         rotation,
         shift: mean_to - scale * (rotation * mean_from),
     })
+}
+
+/// The rotation that turns `a` best onto `b`, of `s` the mean of `a b'`.
+fn best_rotation(s: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let skew = Vector3::new(
+        s[(1, 2)] - s[(2, 1)],
+        s[(2, 0)] - s[(0, 2)],
+        s[(0, 1)] - s[(1, 0)],
+    );
+    let symmetric = s + s.transpose() - Matrix3::identity() * s.trace();
+    let mut n = Matrix4::zeros();
+    n[(0, 0)] = s.trace();
+    n.fixed_view_mut::<3, 1>(1, 0).copy_from(&skew);
+    n.fixed_view_mut::<1, 3>(0, 1).copy_from(&skew.transpose());
+    n.fixed_view_mut::<3, 3>(1, 1).copy_from(&symmetric);
+    let eigen = SymmetricEigen::try_new(n, f64::EPSILON, 200)?;
+    let q = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+    let quaternion = UnitQuaternion::from_quaternion(Quaternion::new(q[0], q[1], q[2], q[3]));
+    Some(*quaternion.to_rotation_matrix().matrix())
 }
 
 /// Length of the path up to each pose.
@@ -218,7 +237,7 @@ pub fn read(path: &Path) -> Result<TrajectoryFile, BadInput> {
             }
             [stamp, x, y, z, i, j, k, w] => {
                 stamps.push(stamp);
-                let quaternion = nalgebra::Quaternion::new(w, i, j, k);
+                let quaternion = Quaternion::new(w, i, j, k);
                 if quaternion.norm() < 1e-6 {
                     return Err(fault("the quaternion is zero".to_owned()));
                 }

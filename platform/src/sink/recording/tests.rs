@@ -1,1 +1,248 @@
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::cast_possible_wrap,
+    reason = "tests"
+)]
 
+use std::fs;
+use std::path::Path;
+
+use nalgebra::{Translation3, UnitQuaternion};
+use serde_json::Value;
+
+use super::*;
+use crate::eval::trajectory::read;
+
+const LAYOUT: GridLayout = GridLayout {
+    rows: 60,
+    columns: 40,
+    cell_m: 0.5,
+    origin_in_vehicle_m: [0.0, -10.0],
+};
+
+fn pose(ahead_m: f64) -> Pose {
+    let mount = Pose::from_parts(
+        Translation3::new(1.0, 2.0, 3.0),
+        UnitQuaternion::from_euler_angles(0.3, -0.2, 0.1),
+    );
+    mount * Pose::translation(0.0, 0.0, ahead_m)
+}
+
+/// Three frames, the second missing, and two key frames, the second late.
+fn record(dir: &Path) -> Result<Report, RecordingError> {
+    let mut recording = Recording::create(
+        dir,
+        RunTitle {
+            title: "a <run>".to_owned(),
+            deadline_ms: 500.0,
+        },
+    )?;
+    for index in [0, 2, 3] {
+        recording.frame(&FrameRecord {
+            index,
+            stamp: Micros(index as u64 * 100_000 + 7),
+            world_from_camera: pose(index as f64),
+        });
+    }
+    let image = vec![128; 64 * 48];
+    let labels: Vec<u8> = (0..32 * 24).map(|i| u8::from(i / 32 >= 12)).collect();
+    let cells: Vec<i8> = (0..2400).map(|i| [0, 100, -1][i % 3]).collect();
+    for (name, latency, met) in [("000000", 40.0, true), ("000002", 600.0, false)] {
+        recording.key_frame(&KeyFrameRecord {
+            name,
+            stamp: Micros(7),
+            image: ImageView {
+                width: 64,
+                height: 48,
+                channels: 1,
+                bytes: &image,
+            },
+            mask: MaskView {
+                width: 32,
+                height: 24,
+                labels: &labels,
+            },
+            layout: LAYOUT,
+            cells: &cells,
+            world_from_vehicle: Pose::identity(),
+            level: if met { "full" } else { "invalid" },
+            deadline_met: met,
+            publish_latency_ms: latency,
+            stages_ms: &[("track", 3.0), ("map", latency / 10.0)],
+            outlines: &[[(-10.0, 5.0), (100.0, f32::NAN)], [(-10.0, 5.0), (100.0, 20.0)]],
+        })?;
+    }
+    let counts = RunCounts {
+        frames: 3,
+        tracked_frames: 3,
+        dropped_frames: 1,
+        allocations_after_start: Some(0),
+        peak_rss_mb: None,
+    };
+    recording.finish(&counts, None)
+}
+
+#[test]
+fn recording_holds_what_it_promises() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    record(&dir).unwrap();
+
+    let report: Value = serde_json::from_slice(&fs::read(dir.join("report.json")).unwrap()).unwrap();
+    for (key, wanted) in [
+        ("key_frames", 2),
+        ("deadline_misses", 1),
+        ("dropped_frames", 1),
+        ("tracked_frames", 3),
+        ("frames", 3),
+        ("allocations_after_start", 0),
+    ] {
+        assert_eq!(report[key], wanted, "{key}");
+    }
+    assert_eq!(report["capture_to_publish_ms"]["p99_9"], 600.0);
+    assert_eq!(report["stages_ms"]["map"]["p50"], 4.0);
+    assert_eq!(report["levels"]["full"], 1);
+    assert!(report["truth"].is_null() && report["peak_rss_mb"].is_null());
+
+    let mask = image::open(dir.join("masks/000000.png")).unwrap().into_luma8();
+    assert_eq!(mask.dimensions(), (64, 48));
+    assert!(
+        mask.enumerate_pixels()
+            .all(|(_, y, pixel)| pixel[0] == u8::from(y >= 24))
+    );
+    assert_eq!(
+        image::open(dir.join("overlays/000002.png"))
+            .unwrap()
+            .into_rgb8()
+            .get_pixel(5, 2)[0],
+        128
+    );
+    let (rows, columns, cells) = npy::read_i8(&dir.join("grids/000000.npy")).unwrap();
+    assert_eq!((rows, columns, cells[1]), (60, 40, 100));
+    let header: Value = serde_json::from_slice(&fs::read(dir.join("grids/000000.json")).unwrap()).unwrap();
+    assert_eq!(
+        (header["cell_m"].as_f64(), header["stamp_micros"].as_u64()),
+        (Some(0.5), Some(7))
+    );
+
+    let timing = fs::read_to_string(dir.join("timing.csv")).unwrap();
+    let lines: Vec<&str> = timing.lines().collect();
+    assert_eq!(
+        lines[0],
+        "name,stamp_s,publish_latency_ms,level,deadline_met,track_ms,map_ms"
+    );
+    assert_eq!(lines[2], "000002,0.000007,600.000,invalid,0,3.000,60.000");
+    assert!(!dir.join(".partial").exists());
+}
+
+#[test]
+fn trajectory_starts_at_identity_and_has_a_row_for_the_missing_frame() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    record(&dir).unwrap();
+    let kitti = read(&dir.join("trajectory.kitti")).unwrap().poses;
+    assert_eq!(kitti.len(), 4);
+    for (i, pose) in kitti.iter().enumerate() {
+        assert!((pose.translation.vector.z - i as f64).abs() < 1e-8 && pose.rotation.angle() < 1e-8);
+    }
+    let tum = read(&dir.join("trajectory.tum")).unwrap();
+    assert_eq!(tum.stamps_s, Some(vec![0.000_007, 0.200_007, 0.300_007]));
+}
+
+#[test]
+fn page_stands_alone() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    record(&dir).unwrap();
+    let page = fs::read_to_string(dir.join("index.html")).unwrap();
+    assert!(page.contains("a &lt;run>") && page.contains("data:image/jpeg;base64,/9j/"));
+    assert!(page.contains("deadline 500 ms") && !page.contains("<!--") && !page.contains("/*"));
+    assert!(!page.contains("http"));
+}
+
+#[test]
+fn earlier_run_is_replaced_and_foreign_files_are_refused() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    record(&dir).unwrap();
+    fs::write(dir.join("masks/old.png"), "").unwrap();
+    record(&dir).unwrap();
+    assert!(!dir.join("masks/old.png").exists() && dir.join("masks/000002.png").exists());
+    fs::write(dir.join("thesis.tex"), "").unwrap();
+    let error = record(&dir).unwrap_err();
+    assert!(matches!(&error, RecordingError::Folder(_)) && error.to_string().contains("thesis.tex"));
+    assert!(dir.join("masks/000002.png").exists() && dir.join("thesis.tex").exists());
+}
+
+#[test]
+fn abandoned_run_leaves_nothing() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    drop(Recording::create(&dir, RunTitle::default()).unwrap());
+    assert!(!dir.exists());
+    record(&dir).unwrap();
+    drop(Recording::create(&dir, RunTitle::default()).unwrap());
+    assert!(dir.join("report.json").exists() && !dir.join(".partial").exists());
+}
+
+#[test]
+fn same_run_gives_the_same_bytes() {
+    let parent = tempfile::tempdir().unwrap();
+    for run in ["a", "b"] {
+        record(&parent.path().join(run)).unwrap();
+    }
+    for name in [
+        "masks/000000.png",
+        "overlays/000002.png",
+        "birdseye/000002.png",
+        "grids/000002.npy",
+        "trajectory.kitti",
+        "index.html",
+    ] {
+        let bytes = |run: &str| fs::read(parent.path().join(run).join(name)).unwrap();
+        assert!(bytes("a") == bytes("b"), "{name}");
+    }
+}
+
+#[test]
+fn percentiles_are_samples() {
+    let samples: Vec<f64> = (1..=1000).rev().map(f64::from).collect();
+    let found = Percentiles::of(&samples).unwrap();
+    assert_eq!(
+        found,
+        Percentiles {
+            p50: 500.0,
+            p99: 990.0,
+            p99_9: 999.0,
+            max: 1000.0
+        }
+    );
+    assert_eq!(Percentiles::of(&[5.0]).unwrap().p50, 5.0);
+    assert_eq!(Percentiles::of(&[1.0, 2.0, 9.0]).unwrap().p99, 9.0);
+    assert_eq!(Percentiles::of(&[]), None);
+}
+
+#[test]
+fn base64_as_in_the_rfc() {
+    for (bytes, wanted) in [
+        ("", ""),
+        ("f", "Zg=="),
+        ("fo", "Zm8="),
+        ("foo", "Zm9v"),
+        ("foob", "Zm9vYg=="),
+    ] {
+        assert_eq!(page::base64(bytes.as_bytes()), wanted);
+    }
+}
+
+#[test]
+fn birdseye_has_ahead_up_and_left_left() {
+    let mut cells = vec![-1; 2400];
+    cells[59 * 40 + 39] = 100; // farthest row, leftmost column
+    let view = picture::birdseye(&LAYOUT, &cells);
+    let at = |x: usize, y: usize| &view.pixels[3 * (y * view.width + x)..][..3];
+    assert_eq!(at(1, 1), [126, 28, 32]);
+    assert_ne!(at(view.width - 2, 1), at(1, 1));
+}
