@@ -13,8 +13,8 @@ use super::masks::files_by_stem;
 use super::npy;
 use crate::bad_input::{BadInput, read_text};
 
-/// A known cell below this is more likely free than not.
-pub const FREE_BELOW: i8 = 50;
+/// A known cell below this is free: the grid stage calls no other free.
+pub const FREE_BELOW: i8 = freespace::grid::Grid::FREE_AT_MOST + 1;
 
 /// Default range of the comparison, metres ahead of the vehicle origin.
 pub const RANGE_M: Range<f64> = 0.0..30.0;

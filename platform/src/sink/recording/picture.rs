@@ -48,7 +48,7 @@ fn taps(target: usize, source: usize) -> Vec<(usize, usize, f32)> {
 impl MaskView<'_> {
     /// The mask at `width` x `height`, bilinear and cut at one half, 0 or 1.
     #[must_use]
-    pub fn self.upsampled(width: usize, height: usize) -> Vec<u8> {
+    pub fn upsampled(&self, width: usize, height: usize) -> Vec<u8> {
         let label = |x: usize, y: usize| f32::from(u8::from(self.labels[y * self.width + x] != 0));
         let columns = taps(width, self.width);
         let mut out = Vec::with_capacity(width * height);
