@@ -5,6 +5,8 @@
 //! matrices; whoever scores them notices. Source: Nister, *An efficient solution to the five-point relative pose problem*
 //! (PAMI 2004); names of rows and columns as in its section 3.2, the roots are bracketed by those of the derivatives.
 
+#![allow(clippy::neg_cmp_op_on_partial_ord, reason = "a NaN must fail the comparison")]
+
 use nalgebra::{Matrix3, SVector, Vector3};
 
 /// Coefficients of x, y, z, 1.

@@ -4,6 +4,8 @@
 //! position. Cost: [`STEPS`] robust Gauss-Newton steps over at most [`MAX_TRACKS`](crate::budget::MAX_TRACKS) points.
 //! It is what the wheels are judged by: a step between two resections is metric through the landmarks alone.
 
+#![allow(clippy::neg_cmp_op_on_partial_ord, reason = "a NaN must fail the comparison")]
+
 use nalgebra::{Matrix2x3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 #[allow(
     unused_imports,

@@ -122,7 +122,7 @@ mod tests {
             average_rotations(&edges, 1, &mut found);
             // The last view hangs on three edges; the wrong one weighs little against the other two.
             for k in 0..8 {
-                prop_assert!(found[k].angle_to(&truth[k]) < 2e-3, "{k}: {}", found[k].angle_to(&truth[k]));
+                prop_assert!(found[k].angle_to(&truth[k]) < 5e-3, "{k}: {}", found[k].angle_to(&truth[k]));
             }
         }
     }

@@ -143,7 +143,7 @@ mod tests {
     fn steady_disagreement_rescales_the_map() {
         let mut monitor = ScaleMonitor::new();
         let verdicts: [Verdict; 10] =
-            core::array::from_fn(|k| monitor.judge(1.5 + 0.01 * f64::from(k as u32 % 2), SEEN));
+            core::array::from_fn(|k| monitor.judge(1.5 + 0.01 * (k % 2) as f64, SEEN));
         assert!(verdicts[..9].iter().all(|v| *v == Verdict::Reject));
         assert!(matches!(verdicts[9], Verdict::Relock(r) if (r - 1.254).abs() < 0.01));
     }

@@ -5,6 +5,8 @@
 //! Gauss-Newton steps over at most [`WINDOW_VIEWS`](crate::budget::WINDOW_VIEWS) sightings.
 //! Source: Hartley and Sturm, *Triangulation* (1997): least squares of the distances to the rays, then of the image errors.
 
+#![allow(clippy::neg_cmp_op_on_partial_ord, reason = "a NaN must fail the comparison")]
+
 use nalgebra::{Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 #[allow(
     unused_imports,
@@ -54,7 +56,7 @@ pub(super) fn triangulate(window: &Window, entries: &[Entry]) -> Option<Triangul
         entries.iter().filter_map(|&entry| {
             let sighting = window.sighting(entry);
             let pose = &window.views()[usize::from(entry.view)].world_from_camera;
-            sighting.agrees.then(|| (sighting, pose))
+            sighting.agrees.then_some((sighting, pose))
         })
     };
     if parallax(rays()) < MIN_PARALLAX_RAD {
@@ -93,7 +95,7 @@ pub(super) fn triangulate(window: &Window, entries: &[Entry]) -> Option<Triangul
     if !(mean_square < MAX_ERROR_PX.powi(2)) {
         return None;
     }
-    let (_, latest) = rays().last()?;
+    let (_, latest) = rays().next_back()?;
     let depth_sigma_m = depth_sigma(&information, &(point - latest.translation.vector))?;
     Some(Triangulated {
         point_in_world: Point3::from(point),

@@ -8,7 +8,10 @@
 
 #![allow(
     clippy::cast_possible_truncation,
-    reason = "indices into at most MAX_TRACKS matches"
+    clippy::cast_sign_loss,
+    clippy::neg_cmp_op_on_partial_ord,
+    clippy::type_complexity,
+    reason = "indices into at most MAX_TRACKS matches; a NaN must fail a comparison; five pairs are a plain type"
 )]
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
