@@ -8,9 +8,11 @@
 //! Bound: nothing is allocated after construction; refinement stops at its slice of [`Slices`] or at its cap in
 //! [`crate::budget`]. A full batch takes no further view until the next key frame, and counts it.
 
+mod emit_task;
 mod frame_task;
 mod key_frame_task;
 
+pub use emit_task::EmitTask;
 pub use frame_task::{FrameOutcome, FrameTask, KeyFrameJob};
 pub use key_frame_task::{KeyFrameOutput, KeyFrameTask, Lesson, Pace};
 

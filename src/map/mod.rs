@@ -67,8 +67,8 @@ pub struct Landmark {
 /// What the tracker learns from the map at a key frame.
 #[derive(Clone, Debug, Default)]
 pub struct MapUpdate {
-    /// Stamp of the newest view in the map.
-    pub stamp: Micros,
+    /// Stamp of the newest view in the map; none while the map is empty, and there is nothing to learn.
+    pub stamp: Option<Micros>,
     /// Pose of that view as the tracker had it.
     pub world_from_camera_tracked: Pose,
     /// Pose of that view as the map has it now.

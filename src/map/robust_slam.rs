@@ -208,11 +208,10 @@ impl Map {
         out.rescale = core::mem::replace(&mut self.rescaled, 1.0);
         let views = self.window.views();
         let Some(newest) = views.last() else {
-            out.world_from_camera = Pose::identity();
-            out.world_from_camera_tracked = Pose::identity();
+            out.stamp = None;
             return;
         };
-        out.stamp = newest.stamp;
+        out.stamp = Some(newest.stamp);
         out.world_from_camera_tracked = newest.tracked;
         out.world_from_camera = newest.world_from_camera;
         let alive = &views[views.len().saturating_sub(LIVE_VIEWS)..];

@@ -7,6 +7,7 @@ use super::{KeyFrameJob, PipelineConfig, Stage, StageTimes};
 use crate::budget::{BUNDLE_REFINEMENTS, CUT_QUANTA, CUT_QUANTUM_STEPS};
 use crate::crf::{Ablation, CrfInputs, CrfStage};
 use crate::deadline::{Announcement, Slices};
+use crate::emit::{CanFrame, FreeSpaceMessage, can::FRAMES};
 use crate::frame::{Camera, Lens, PixelFormat, RawFrame, RayTable, RgbImage};
 use crate::grid::{Boundary, Grid, GridStage};
 use crate::health::{Faults, QualityLevel, ScaleState, TrackingState};
@@ -62,6 +63,12 @@ pub struct KeyFrameOutput {
     pub boundary: Boundary,
     /// Landmarks in the map.
     pub landmarks: usize,
+    /// The free-space message, `message_len` bytes of it.
+    pub message: Box<[u8]>,
+    /// See `message`.
+    pub message_len: usize,
+    /// The CAN frames.
+    pub can_frames: heapless::Vec<CanFrame, FRAMES>,
     /// Time spent in each stage.
     pub times: StageTimes,
 }
@@ -71,7 +78,11 @@ impl KeyFrameOutput {
     #[must_use]
     pub fn new(config: &PipelineConfig) -> Box<Self> {
         let (width, height) = config.working_size;
+        let grid = Grid::sized(&config.grid);
         Box::new(Self {
+            message: vec![0; FreeSpaceMessage::encoded_len(grid.rows * grid.columns)].into_boxed_slice(),
+            message_len: 0,
+            can_frames: heapless::Vec::new(),
             sequence: 0,
             frame: 0,
             stamp: Micros::default(),
@@ -86,14 +97,14 @@ impl KeyFrameOutput {
             energy_gap: 1.0,
             plane_in_camera: config.camera.mount.plane_in_camera(),
             priors: Priors::default(),
-            grid: Grid::sized(&config.grid),
+            grid,
             boundary: Boundary::new(0.0, 0.0),
             landmarks: 0,
             times: StageTimes::default(),
         })
     }
 
-    /// Takes over another output of the same sizes.
+    /// Takes over another output of the same sizes, but for what was emitted of it.
     pub fn copy_from(&mut self, other: &Self) {
         let Self { labels, confidence, grid, .. } = self;
         labels.copy_from_slice(&other.labels);
@@ -258,7 +269,7 @@ impl KeyFrameTask {
             &self.camera.world_from_vehicle(&world_from_camera),
             job.stamp,
         );
-        output.grid.clone_from(grid);
+        output.grid.copy_from(grid);
         output.boundary = *self.grid.boundary();
         lap.end(Stage::Grid);
 
@@ -273,6 +284,12 @@ impl KeyFrameTask {
         output.confidence.copy_from_slice(self.crf.margin());
         output.plane_in_camera = plane_in_camera;
         output.priors.clone_from(self.priors.priors());
+        if self.priors.priors().plane.is_none_or(|plane| plane.inliers == 0) {
+            output.faults.insert(Faults::PLANE_HELD);
+        }
+        if self.map.scale_state() == ScaleState::Held {
+            output.faults.insert(Faults::SCALE_HELD);
+        }
         output.landmarks = self.map.landmarks().len();
         output.level = level(output.faults, is_fresh, self.crf.solved());
         output.times = lap.times;
@@ -305,9 +322,9 @@ impl KeyFrameTask {
     /// The key frame's pose, moved as the map moved its newest view.
     fn refined_pose(&mut self, job: &KeyFrameJob) -> Pose {
         self.map.update_into(&mut self.update);
-        match &job.world_from_view {
-            Some(world_from_view) => self.update.moved(world_from_view, &job.world_from_camera),
-            None => job.world_from_camera,
+        match (&job.world_from_view, self.update.stamp) {
+            (Some(world_from_view), Some(_)) => self.update.moved(world_from_view, &job.world_from_camera),
+            _ => job.world_from_camera,
         }
     }
 

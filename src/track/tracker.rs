@@ -238,6 +238,7 @@ impl Tracker {
 
     /// Takes the map's answer: landmarks, and the correction of every pose since its newest view.
     pub fn apply(&mut self, update: &MapUpdate) {
+        let Some(stamp) = update.stamp else { return };
         let sound = update.rescale.is_finite()
             && update.rescale > 0.0
             && update
@@ -253,10 +254,10 @@ impl Tracker {
             .past
             .iter()
             .rev()
-            .find(|p| p.stamp == update.stamp)
+            .find(|p| p.stamp == stamp)
             .map(|p| p.world_from_camera)
             // The last view may be older than the row, when the car stands.
-            .or_else(|| self.viewed.filter(|viewed| viewed.0 == update.stamp).map(|viewed| viewed.1))
+            .or_else(|| self.viewed.filter(|viewed| viewed.0 == stamp).map(|viewed| viewed.1))
             .unwrap_or(update.world_from_camera_tracked);
         let correct = |pose: &Pose| {
             let mut since = tracked.inv_mul(pose);

@@ -222,7 +222,7 @@ fn a_late_correction_moves_the_present() {
         UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.1)),
     );
     let mut update = MapUpdate {
-        stamp: asked.stamp,
+        stamp: Some(asked.stamp),
         world_from_camera_tracked: asked.world_from_camera,
         world_from_camera: shift * asked.world_from_camera,
         rescale: 1.5,

@@ -169,6 +169,18 @@ Examples:
         #[arg(long)]
         json: bool,
     },
+    /// Wheels: what a CAN log's wheel message says of the drive.
+    #[command(after_help = "Example:\n  freespace eval wheels drive.candump --config config/toyota.toml")]
+    Wheels {
+        /// candump log.
+        log: PathBuf,
+        /// Configuration whose [wheels] describe the message.
+        #[arg(long, value_name = "FILE")]
+        config: PathBuf,
+        /// Print JSON.
+        #[arg(long)]
+        json: bool,
+    },
     /// Grids: intersection over union of free cells that the truth has seen.
     #[command(after_help = "Example:\n  freespace eval grid out/demo/grids truth/grids")]
     Grid {

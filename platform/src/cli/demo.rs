@@ -44,6 +44,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let title = RunTitle {
         title: format!("freespace demo, seed {}", args.seed),
         deadline_ms: config.deadline.publish_ms,
+        is_reproducible: false,
     };
     let recording = Recording::create(&args.out, title)?;
     let world = Arc::new(World::new(&world_config, &Arc::new(Textures::new())));

@@ -169,6 +169,7 @@ impl Recorder {
             deadline_met: !report.is_miss,
             publish_latency_ms: report.latency_micros as f64 * 1e-3,
             stages_ms: &stages_ms,
+            can_frames: &output.can_frames,
             outlines: &outlines,
         })
     }

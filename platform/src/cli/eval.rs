@@ -2,11 +2,15 @@
 
 use std::path::Path;
 
+use freespace::space::Micros;
+use freespace::track::{WheelOdometer, WheelReading};
 use serde::Serialize;
 
 use super::{EvalCommand, Failure};
 use crate::bad_input::{BadInput, read_text};
+use crate::config::{Config, Wheels};
 use crate::eval::{Truth, grid, masks, trajectory};
+use crate::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
 
 /// What `--json` prints.
 #[derive(Serialize)]
@@ -47,6 +51,7 @@ pub fn run(command: &EvalCommand) -> Result<(), Failure> {
                 print_trajectory(&score);
             }
         }
+        EvalCommand::Wheels { log, config, json } => wheels(log, config, *json)?,
         EvalCommand::Grid {
             predictions,
             truth_dir,
@@ -167,4 +172,33 @@ fn print_grid(score: &grid::GridScore, range_m: f64) {
     println!("free-space IoU           {:>10.4}", score.pooled.iou());
     println!("falsely free cells       {:>10}", score.pooled.falsely_free);
     print_missing(&score.missing);
+}
+
+/// Distance and duration of a CAN log, through the same odometer as a drive's.
+fn wheels(log: &Path, config: &Path, json: bool) -> Result<(), Failure> {
+    let Wheels::Can(wheels) = Config::load(config)?.wheels() else {
+        let message = format!("{} describes no CAN message", config.display());
+        return Err(BadInput::new(message, "set source = \"can\", dbc, message and signals in [wheels]").into());
+    };
+    let decoder = WheelDecoder::open(&wheels.dbc, &wheels.mapping()).map_err(Failure::bad_input)?;
+    let options = CandumpOptions { interface: None, offset_micros: wheels.offset_micros() };
+    let readings = CandumpWheels::open(log, &decoder, &options).map_err(Failure::bad_input)?;
+    let mut odometer = WheelOdometer::new(wheels.odometer);
+    for reading in readings.readings() {
+        odometer.push(*reading);
+    }
+    let distance_m = odometer.newest().and_then(|stamp| odometer.travel_at(stamp)).map_or(0.0, |t| t.distance_m);
+    let first = readings.readings().first().map_or(Micros(0), WheelReading::stamp);
+    let seconds = odometer.newest().map_or(0.0, |stamp| stamp.seconds_since(first));
+    let (count, rejected) = (readings.readings().len(), odometer.rejected());
+    if json {
+        let value = serde_json::json!({
+            "readings": count, "rejected": rejected, "seconds": seconds, "distance_m": distance_m,
+        });
+        println!("{value:#}");
+    } else {
+        println!("readings    {count}, {rejected} rejected, over {seconds:.1} s");
+        println!("distance    {distance_m:.1} m");
+    }
+    Ok(())
 }

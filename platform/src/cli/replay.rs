@@ -9,7 +9,7 @@ use freespace::port::WheelPort;
 use freespace::track::WheelConfig;
 
 use super::drive::{self, Progress, Recorder};
-use super::{Ablation, Failure, ReplayArgs, table};
+use super::{Ablation, Failure, Pace, ReplayArgs, table};
 use crate::bad_input::BadInput;
 use crate::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera, ReplayFrames};
 use crate::config::{Config, Wheels};
@@ -101,6 +101,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let title = RunTitle {
         title: format!("freespace replay {}", args.source.display()),
         deadline_ms: config.deadline.publish_ms,
+        is_reproducible: args.pace == Pace::Fast,
     };
     let recording = Recording::create(&args.out, title)?;
     let engine = segmenter.name().to_owned();

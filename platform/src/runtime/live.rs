@@ -16,7 +16,7 @@ use freespace::deadline::{Announcement, Publisher, Verdict};
 use freespace::frame::Camera;
 use freespace::grid::GridStage;
 use freespace::pipeline::{
-    FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace,
+    EmitTask, FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace,
 };
 use freespace::port::{CameraAnswer, CameraPort, Clock, FrameBuffer, WheelPort};
 use freespace::space::Micros;
@@ -103,6 +103,7 @@ pub fn run_live(setup: Setup, stop: &Arc<AtomicBool>, observer: &mut dyn Observe
     let key_frame_task = KeyFrameTask::new(&config, Pace::Real);
     let publisher = PublisherThread {
         publisher: Publisher::new(&config.slices),
+        emit: EmitTask::new(&config.camera, &config.slices),
         camera: config.camera,
         carrier: GridStage::new(&config.camera, config.grid, config.working_size.0, config.working_size.1),
         last: KeyFrameOutput::new(&config),
@@ -368,6 +369,7 @@ impl KeyFrameThread {
 
 struct PublisherThread<'a> {
     publisher: Publisher,
+    emit: EmitTask,
     camera: Camera,
     /// Holds the last grid, to be moved for a fallback.
     carrier: GridStage,
@@ -419,11 +421,7 @@ impl PublisherThread<'_> {
         self.carrier.adopt(&output.grid, &world_from_vehicle, output.stamp);
         self.has_last = true;
         match self.publisher.answer(output.sequence) {
-            Verdict::Publish => {
-                let latency_micros = self.clock.now().since(output.stamp);
-                let is_miss = latency_micros > self.deadline_micros;
-                self.publish(Some(job), output, latency_micros, is_miss);
-            }
+            Verdict::Publish => self.publish(Some(job), output),
             Verdict::Late => {
                 FrameTask::recycle(&mut job);
                 self.jobs.put(job);
@@ -442,17 +440,15 @@ impl PublisherThread<'_> {
         };
         let last = self.has_last.then_some(&*self.last);
         output.fall_back(last, pending, &self.camera, &mut self.carrier);
-        let latency_micros = self.clock.now().since(pending.stamp);
-        self.publish(None, output, latency_micros, true);
+        self.publish(None, output);
     }
 
-    fn publish(
-        &self,
-        job: Option<Box<KeyFrameJob>>,
-        output: Box<KeyFrameOutput>,
-        latency_micros: u64,
-        is_miss: bool,
-    ) {
+    /// Emits an output and shows it to the observer; it counts as a miss where it is a fallback or late all the same.
+    fn publish(&mut self, job: Option<Box<KeyFrameJob>>, mut output: Box<KeyFrameOutput>) {
+        let now = self.clock.now();
+        self.emit.step(&mut output, now, &self.clock);
+        let latency_micros = self.clock.now().since(output.stamp);
+        let is_miss = job.is_none() || latency_micros > self.deadline_micros;
         self.counters.key_frames.fetch_add(1, Ordering::Relaxed);
         self.counters.misses.fetch_add(u64::from(is_miss), Ordering::Relaxed);
         let observation = Observation::KeyFrame { job, output, latency_micros, is_miss };

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use freespace::pipeline::{FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace};
+use freespace::pipeline::{EmitTask, FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace};
 use freespace::port::{CameraAnswer, FrameBuffer};
 
 use super::allocation::{RealTimeScope, allocations};
@@ -23,6 +23,7 @@ pub fn run_in_lockstep(setup: Setup, observer: &mut dyn Observer) -> RunSummary 
     let mut job = KeyFrameJob::new(config.camera.width, config.camera.height);
     let mut output = KeyFrameOutput::new(&config);
     let mut lesson = Lesson::new();
+    let mut emit = EmitTask::new(&config.camera, &config.slices);
     let mut buffer = FrameBuffer::default();
     let mut summary = RunSummary::default();
     let allocations_before = allocations();
@@ -56,6 +57,9 @@ pub fn run_in_lockstep(setup: Setup, observer: &mut dyn Observer) -> RunSummary 
         {
             let _scope = RealTimeScope::enter();
             key_frame_task.step(&job, &mut network, &clock, &mut output, &mut lesson);
+            // On this replay's own clock the work takes no time: the message leaves at its capture.
+            let publish = output.stamp;
+            emit.step(&mut output, publish, &clock);
             frame_task.learn(&lesson);
         }
         summary.key_frames += 1;

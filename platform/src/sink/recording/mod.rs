@@ -18,6 +18,7 @@ pub use report::{Percentiles, Report, RunCounts};
 use std::io::Write;
 use std::path::Path;
 
+use freespace::emit::CanFrame;
 use freespace::space::{Micros, Pose};
 use serde::Serialize;
 
@@ -89,6 +90,8 @@ pub struct KeyFrameRecord<'a> {
     pub publish_latency_ms: f64,
     /// Time of each stage, in order of the pipeline; the same stages for each key frame.
     pub stages_ms: &'a [(&'static str, f64)],
+    /// CAN frames of the publication: identifier and data.
+    pub can_frames: &'a [CanFrame],
     /// Outlines of obstacle boxes and the like, as line segments in pixels of the full-size image.
     pub outlines: &'a [[(f32, f32); 2]],
 }
@@ -128,6 +131,9 @@ pub struct RunTitle {
     pub title: String,
     /// Deadline, shown in the histogram.
     pub deadline_ms: f64,
+    /// Whether the same input gives the same bytes: nothing that was measured is written but to `timing.csv`, the report and
+    /// the page.
+    pub is_reproducible: bool,
 }
 
 /// A recording under way.
@@ -138,6 +144,8 @@ pub struct Recording {
     frames: Vec<FrameRecord>,
     rows: Vec<Row>,
     stages: Vec<&'static str>,
+    can_log: String,
+    is_reproducible: bool,
 }
 
 impl Recording {
@@ -148,10 +156,12 @@ impl Recording {
     pub fn create(dir: &Path, title: RunTitle) -> Result<Self, RecordingError> {
         Ok(Self {
             folder: OutputFolder::create(dir)?,
-            title,
             frames: Vec::new(),
             rows: Vec::new(),
             stages: Vec::new(),
+            can_log: String::new(),
+            is_reproducible: title.is_reproducible,
+            title,
         })
     }
 
@@ -192,6 +202,7 @@ impl Recording {
             image::ColorType::Rgb8,
         )?;
         self.grid(record)?;
+        self.log_can(record);
         if self.stages.is_empty() {
             self.stages = record.stages_ms.iter().map(|(stage, _)| *stage).collect();
         }
@@ -228,6 +239,17 @@ impl Recording {
         self.folder.file(&format!("grids/{name}.json"), &json(&header))
     }
 
+    /// Adds the frames to the log that `emitted.candump` becomes, as `candump -L` would have seen them.
+    fn log_can(&mut self, record: &KeyFrameRecord<'_>) {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a latency of some milliseconds")]
+        let published = record.stamp.plus((record.publish_latency_ms.max(0.0) * 1e3) as u64);
+        let stamp = if self.is_reproducible { record.stamp } else { published };
+        for frame in record.can_frames {
+            let hex: String = frame.data.iter().map(|byte| format!("{byte:02X}")).collect();
+            self.can_log.push_str(&format!("({}) can0 {:03X}#{hex}\n", trajectory::seconds(stamp), frame.id));
+        }
+    }
+
     /// Where the masks written so far lie, for the comparison with truth.
     #[must_use]
     pub fn mask_folder(&self) -> std::path::PathBuf {
@@ -250,6 +272,7 @@ impl Recording {
             .file("trajectory.kitti", trajectory::kitti(&self.frames).as_bytes())?;
         self.folder
             .file("trajectory.tum", trajectory::tum(&self.frames).as_bytes())?;
+        self.folder.file("emitted.candump", self.can_log.as_bytes())?;
         self.folder.file("timing.csv", &self.timing_csv())?;
         let report = Report::new(counts, &self.rows, &self.stages, truth);
         let page = page::html(
