@@ -15,12 +15,15 @@ use freespace::frame::{Camera, GrayImage, RayTable, RgbImage};
 use freespace::space::Pose;
 
 use super::World;
-use super::ground::Footprint;
+use super::decal::{Decal, decals};
+use super::lanes::{Colours, LANES, Lanes, lanes};
 use super::light::lit;
+use super::meeting::{Eye, Met, Shutter};
 use super::noise::{hash, wave};
 use super::raster::{DepthBuffer, Extent, Frame, View, nearest_m};
 use super::scene::{NEAR_M, Scene};
 use super::shape::{Part, Seen};
+use super::style::Style;
 use super::truth::Label;
 use super::window::Window;
 
@@ -65,17 +68,6 @@ impl Default for Sensor {
             exposure: 1.0,
         }
     }
-}
-
-/// A soft dark patch under something on the road.
-#[derive(Clone, Copy, Debug)]
-struct Decal {
-    base: [f32; 3],
-    turn: [f32; 2],
-    half: [f32; 2],
-    soft: f32,
-    /// Share of sky light hidden, share of sunlight hidden.
-    hides: [f32; 2],
 }
 
 /// A camera on the ego car.
@@ -308,55 +300,92 @@ impl SimCamera {
     fn shade(&mut self, world: &World, seconds: f64) {
         let view = View::new(&self.pose);
         let style = &world.style;
-        let pixel_rad = 1.0 / self.camera.lens.focal_px() as f32;
-        let blur_m = world.ego(seconds).speed_mps as f32 * self.sensor.shutter_s;
+        let shutter = Shutter {
+            pixel_rad: 1.0 / self.camera.lens.focal_px() as f32,
+            blur_m: world.ego(seconds).speed_mps as f32 * self.sensor.shutter_s,
+        };
         let drift = 1.0 + self.sensor.exposure_drift * wave(self.sensor.seed ^ 77, seconds as f32 * 0.25);
         let step = match self.sensor.exposure_step {
             Some((from, factor)) if seconds >= from => factor,
             _ => 1.0,
         };
         let exposure = style.exposure * self.sensor.exposure * drift * step;
-        let to_tone = exposure * TONES as f32;
-        let mut last = 0;
-        let mut seen: Option<Seen<'_>> = None;
+        let eye = Eye {
+            world,
+            window: &self.window,
+            view: &view,
+        };
         let mut tones = Tones {
             table: &self.tones,
             gain: &self.gain,
-            scale: to_tone,
+            scale: exposure * TONES as f32,
             pixels: self.raw.pixels_mut(),
         };
-        for i in 0..self.rays.len() {
-            let ray = self.world_rays[i];
-            let limit = self.buffer.distance[i];
-            let ground = Meeting::new(world, &self.window, &view, ray, limit);
-            let (rgb, label, distance) = if let Some(meeting) = ground {
-                let (rgb, label) = meeting.shade(world, ray, pixel_rad, blur_m, self.hidden[i]);
-                (rgb, label, meeting.distance)
-            } else if self.buffer.part[i] > 0 {
-                let id = self.buffer.part[i];
-                let part = part_at(world, &self.movers, id - 1);
+        let (mut last, mut part) = (0, None);
+        for first in (0..self.rays.len()).step_by(LANES) {
+            // The last span may be short: its last ray is repeated.
+            let count = LANES.min(self.rays.len() - first);
+            let end = first + count - 1;
+            let (mut rays, mut hidden) = ([[0.0; 3]; LANES], [[0; 2]; LANES]);
+            for i in 0..LANES {
+                rays[i] = self.world_rays[(first + i).min(end)];
+                hidden[i] = self.hidden[(first + i).min(end)];
+            }
+            let limits = lanes(|i| self.buffer.distance[(first + i).min(end)]);
+            let mut labels = [Label::Sky as u8; LANES];
+            let mut distance = limits;
+            let mut rgb: Colours = [[0.0; LANES]; 3];
+            let mut met = [Met::Nothing; LANES];
+            if let Some(meetings) = eye.meet(&rays, &limits) {
+                met = meetings.met;
+                rgb = meetings.shade(world, &rays, &shutter, &hidden);
+                for i in 0..LANES {
+                    if met[i] != Met::Nothing {
+                        distance[i] = meetings.distance[i];
+                        let road = met[i] == Met::Road;
+                        labels[i] = if road { Label::Road } else { Label::NonDrivable } as u8;
+                    }
+                }
+            }
+            let mut sky = [false; LANES];
+            for i in 0..count {
+                if met[i] != Met::Nothing {
+                    continue;
+                }
+                let id = self.buffer.part[first + i];
+                sky[i] = id == 0;
+                if sky[i] {
+                    continue;
+                }
                 if id != last {
-                    seen = Some(Seen::new(part, view.origin));
+                    part = Some(Seen::new(part_at(world, &self.movers, id - 1), view.origin));
                     last = id;
                 }
-                let rgb = match seen.and_then(|s| s.meet(ray, f32::MAX, &world.textures)) {
-                    Some(hit) => lit(part, &hit, style, &world.textures, pixel_rad),
-                    None => part.rgb,
-                };
-                (rgb, part.label, limit)
-            } else {
-                let (rgb, far) = world.sky.seen(ray, style, &world.textures);
-                tones.emit(i, rgb);
-                self.labels[i] = if far { Label::Far } else { Label::Sky } as u8;
-                self.depth_m[i] = f32::INFINITY;
-                continue;
-            };
-            let haze = distance / (distance + 1.4 * style.haze_m);
-            let veil = |k: usize| rgb[k] + haze * (0.8 * style.horizon_rgb[k] - rgb[k]);
-            let hazed = [veil(0), veil(1), veil(2)];
-            tones.emit(i, hazed);
-            self.labels[i] = label;
-            self.depth_m[i] = distance * self.rays[i][2];
+                if let Some(seen) = &part {
+                    let hit = seen.met(rays[i], limits[i]);
+                    let colour = lit(seen.part, &hit, style, &world.textures, shutter.pixel_rad);
+                    (rgb[0][i], rgb[1][i], rgb[2][i]) = (colour[0], colour[1], colour[2]);
+                    labels[i] = seen.part.label;
+                }
+            }
+            haze(&mut rgb, &distance, style);
+            if sky.contains(&true) {
+                let (colours, far) = world.sky.seen(&rays, style, &world.textures);
+                for i in 0..LANES {
+                    if sky[i] {
+                        for k in 0..3 {
+                            rgb[k][i] = colours[k][i];
+                        }
+                        labels[i] = if far[i] { Label::Far } else { Label::Sky } as u8;
+                        distance[i] = f32::INFINITY;
+                    }
+                }
+            }
+            tones.emit(first, count, &rgb);
+            for i in 0..count {
+                self.labels[first + i] = labels[i];
+                self.depth_m[first + i] = distance[i] * self.rays[first + i][2];
+            }
         }
     }
 
@@ -400,11 +429,25 @@ struct Tones<'a> {
 
 impl Tones<'_> {
     #[inline]
-    fn emit(&mut self, i: usize, rgb: [f32; 3]) {
-        let scale = self.scale * self.gain[i];
-        for (k, channel) in rgb.iter().enumerate() {
-            self.pixels[3 * i + k] = self.table[((channel * scale) as usize).min(TONES - 1)];
+    fn emit(&mut self, first: usize, count: usize, rgb: &Colours) {
+        let gain = &self.gain[first..first + count];
+        let pixels = self.pixels[3 * first..3 * (first + count)].chunks_exact_mut(3);
+        let top = (TONES - 1) as f32;
+        for (i, (pixel, gain)) in pixels.zip(gain).enumerate() {
+            for k in 0..3 {
+                let tone = (rgb[k][i] * self.scale * gain).clamp(0.0, top) as usize;
+                pixel[k] = self.table[tone.min(TONES - 1)];
+            }
         }
+    }
+}
+
+/// Fades colours into the horizon's with distance.
+#[inline]
+fn haze(rgb: &mut Colours, distance: &Lanes, style: &Style) {
+    let haze = lanes(|i| distance[i] / (distance[i] + 1.4 * style.haze_m));
+    for (k, channel) in rgb.iter_mut().enumerate() {
+        *channel = lanes(|i| channel[i] + haze[i] * (0.8 * style.horizon_rgb[k] - channel[i]));
     }
 }
 
@@ -429,178 +472,5 @@ fn part_at<'a>(world: &'a World, movers: &'a Scene, index: u32) -> &'a Part {
         &world.scene.parts[index]
     } else {
         &movers.parts[index - fixed]
-    }
-}
-
-/// The dark patches of one object.
-fn decals(parts: &[Part], moves: bool, sun: [f32; 3], out: &mut Vec<Decal>) {
-    let Some(first) = parts.first() else { return };
-    let living = first.label == Label::Living as u8;
-    if !living && first.label != Label::Vehicle as u8 {
-        return;
-    }
-    let turn = [first.sin, first.cos];
-    let floor = parts.iter().map(|p| p.base[2]).fold(f32::MAX, f32::min);
-    let floor = if floor < 0.3 { floor } else { 0.0 };
-    let ground = [first.base[0], first.base[1], floor];
-    out.push(Decal {
-        base: ground,
-        turn,
-        half: first.half,
-        soft: if living { 0.15 } else { 0.3 },
-        hides: [0.75, 0.9],
-    });
-    if moves {
-        let away = 0.55 / sun[2];
-        let base = [ground[0] - sun[0] * away, ground[1] - sun[1] * away, floor];
-        out.push(Decal {
-            base,
-            turn,
-            half: first.half,
-            soft: 0.2,
-            hides: [0.0, 1.0],
-        });
-    }
-}
-
-impl Decal {
-    #[inline]
-    fn darken(&self, view: &View, ray: [f32; 3], hidden: &mut [u8; 2]) {
-        if ray[2] > -1e-4 {
-            return;
-        }
-        let distance = (self.base[2] - view.origin[2]) / ray[2];
-        let dx = view.origin[0] + distance * ray[0] - self.base[0];
-        let dy = view.origin[1] + distance * ray[1] - self.base[1];
-        let [sin, cos] = self.turn;
-        let along = (dx * cos + dy * sin).abs();
-        let aside = (dy * cos - dx * sin).abs();
-        let inside = |at: f32, half: f32| ((half + self.soft - at) / (2.0 * self.soft)).clamp(0.0, 1.0);
-        let share = inside(along, self.half[0]) * inside(aside, self.half[1]);
-        for (h, hides) in hidden.iter_mut().zip(self.hides) {
-            *h = (*h).max((255.0 * share * hides) as u8);
-        }
-    }
-}
-
-/// Where a ray meets the ground.
-#[derive(Clone, Copy, Debug)]
-struct Meeting {
-    distance: f32,
-    /// Road coordinates; none beyond the window.
-    place: Option<([f32; 2], [f32; 2])>,
-    /// Signed distance outside the kerb.
-    edge: f32,
-    /// Whether the kerb's face is met.
-    face: bool,
-}
-
-impl Meeting {
-    #[inline]
-    fn new(world: &World, window: &Window, view: &View, ray: [f32; 3], limit: f32) -> Option<Self> {
-        if ray[2] > -1e-4 {
-            return None;
-        }
-        let kerb = world.style.kerb_m;
-        let raised = (view.origin[2] - kerb) / -ray[2];
-        if raised >= limit {
-            return None;
-        }
-        let at = |distance: f32| {
-            window.at(
-                view.origin[0] + distance * ray[0],
-                view.origin[1] + distance * ray[1],
-            )
-        };
-        let Some(upper) = at(raised) else {
-            return Some(Self {
-                distance: raised,
-                place: None,
-                edge: 10.0,
-                face: false,
-            });
-        };
-        let upper_edge = world.road.edge(upper.0[0], upper.0[1]);
-        if upper_edge > 0.0 {
-            return Some(Self {
-                distance: raised,
-                place: Some(upper),
-                edge: upper_edge,
-                face: false,
-            });
-        }
-        let flat = view.origin[2] / -ray[2];
-        let Some(lower) = at(flat) else {
-            return Some(Self {
-                distance: raised,
-                place: None,
-                edge: 10.0,
-                face: false,
-            });
-        };
-        let lower_edge = world.road.edge(lower.0[0], lower.0[1]);
-        if lower_edge <= 0.0 {
-            return (flat < limit).then_some(Self {
-                distance: flat,
-                place: Some(lower),
-                edge: lower_edge,
-                face: false,
-            });
-        }
-        // Between the planes the ray crosses the kerb's face, about where its edge distance passes zero.
-        let f = upper_edge / (upper_edge - lower_edge);
-        let distance = raised + f * (flat - raised);
-        (distance < limit).then_some(Self {
-            distance,
-            place: Some(lower),
-            edge: 0.0,
-            face: true,
-        })
-    }
-
-    #[inline]
-    fn shade(
-        &self,
-        world: &World,
-        ray: [f32; 3],
-        pixel_rad: f32,
-        blur_m: f32,
-        hidden: [u8; 2],
-    ) -> ([f32; 3], u8) {
-        let style = &world.style;
-        let label = if self.edge < 0.0 || (self.edge == 0.0 && !self.face) {
-            Label::Road
-        } else {
-            Label::NonDrivable
-        };
-        let Some(([s, d], [sx, sy])) = self.place else {
-            let light = style.sky_light_rgb[1] + 0.6 * style.sun_rgb[1];
-            return (style.beyond_rgb.map(|c| c * light), label as u8);
-        };
-        let across = self.distance * pixel_rad;
-        let along = across / (-ray[2]).max(0.01);
-        let flat = 1.0 / (ray[0] * ray[0] + ray[1] * ray[1]).sqrt().max(1e-6);
-        let ahead = ((ray[0] * sx + ray[1] * sy) * flat).abs().min(1.0);
-        let aside = ((ray[0] * sy - ray[1] * sx) * flat).abs().min(1.0);
-        let foot = Footprint {
-            along_m: ahead * along + aside * across + blur_m,
-            across_m: aside * along + ahead * across,
-        };
-        let rgb = if self.face {
-            style.kerb_rgb.map(|c| 0.6 * c)
-        } else if label == Label::Road {
-            world.ground.road(style, &world.textures, s, d, self.edge, foot)
-        } else {
-            world.ground.verge(style, &world.textures, s, d, self.edge, foot)
-        };
-        let open = 1.0 - f32::from(hidden[0]) * (1.0 / 255.0);
-        let mut sun = 0.0;
-        if style.sun_rgb[1] > 0.0 {
-            sun = world.shadow.sunlight(&world.textures, s, d, foot)
-                * (1.0 - f32::from(hidden[1]) * (1.0 / 255.0));
-            sun *= style.sun[2];
-        }
-        let lit = |k: usize| rgb[k] * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k]);
-        ([lit(0), lit(1), lit(2)], label as u8)
     }
 }

@@ -8,6 +8,7 @@
     reason = "table indices are bounded by the table"
 )]
 
+use super::lanes::{Colours, LANES, lanes, range};
 use super::noise::{floor, hash, smoothstep, unit, wave};
 use super::shape::{Hit, Material, Part};
 use super::style::Style;
@@ -37,43 +38,80 @@ impl Sky {
         Self { skyline }
     }
 
-    /// Radiance along a unit ray, and whether the far tree line is seen there.
-    pub(super) fn seen(&self, ray: [f32; 3], style: &Style, textures: &Textures) -> ([f32; 3], bool) {
-        let slope = ray[2] / (ray[0] * ray[0] + ray[1] * ray[1]).sqrt().max(1e-3);
-        if slope < 1.6 * style.skyline {
-            let turn = ray[1].atan2(ray[0]) / std::f32::consts::TAU + 0.5;
-            let place = turn * SKYLINE_BINS as f32;
+    /// Radiance along a span of unit rays, and where the far tree line is seen.
+    pub(super) fn seen(
+        &self,
+        rays: &[[f32; 3]; LANES],
+        style: &Style,
+        textures: &Textures,
+    ) -> (Colours, [bool; LANES]) {
+        let mut rgb = clouds(rays, style, textures);
+        let mut far = [false; LANES];
+        let slope =
+            lanes(|i| rays[i][2] / (rays[i][0] * rays[i][0] + rays[i][1] * rays[i][1]).sqrt().max(1e-3));
+        if range(&slope).0 >= 1.6 * style.skyline {
+            return (rgb, far);
+        }
+        let turn_of = |ray: [f32; 3]| ray[1].atan2(ray[0]) / std::f32::consts::TAU + 0.5;
+        let (from, to) = (turn_of(rays[0]), turn_of(rays[LANES - 1]));
+        // The short way round.
+        let step = (to - from - (to - from).round()) / (LANES - 1) as f32;
+        let turn = lanes(|i| {
+            let turn = from + i as f32 * step;
+            turn - turn.floor()
+        });
+        for i in 0..LANES {
+            let place = turn[i] * SKYLINE_BINS as f32;
             let bin = (place as usize).min(SKYLINE_BINS - 1);
             let f = place - bin as f32;
-            if slope < self.skyline[bin] + f * (self.skyline[bin + 1] - self.skyline[bin]) {
-                let leaves = textures.leaves.sample(turn * 6000.0, slope * 1300.0, 0, 0);
-                let haze = 0.2 + 0.6 * 300.0 / (300.0 + style.haze_m);
-                let light = 0.7 + 0.45 * leaves;
-                return (
-                    [0, 1, 2].map(|k| {
-                        let lit =
-                            style.leaf_rgb[k] * light * (style.sky_light_rgb[k] + 0.3 * style.sun_rgb[k]);
-                        lit + haze * (0.5 * style.horizon_rgb[k] - lit)
-                    }),
-                    true,
-                );
+            far[i] = slope[i] < self.skyline[bin] + f * (self.skyline[bin + 1] - self.skyline[bin]);
+        }
+        if !far.contains(&true) {
+            return (rgb, far);
+        }
+        let leaves = textures.leaves.span(
+            &lanes(|i| turn[i] * 6000.0),
+            &lanes(|i| slope[i] * 1300.0),
+            0,
+            0,
+        );
+        let haze = 0.2 + 0.6 * 300.0 / (300.0 + style.haze_m);
+        for (k, channel) in rgb.iter_mut().enumerate() {
+            let lit = style.leaf_rgb[k] * (style.sky_light_rgb[k] + 0.3 * style.sun_rgb[k]);
+            for i in 0..LANES {
+                let lit = lit * (0.7 + 0.45 * leaves[i]);
+                if far[i] {
+                    channel[i] = lit + haze * (0.5 * style.horizon_rgb[k] - lit);
+                }
             }
         }
-        let height = ray[2].max(0.0);
-        let blue = (height * 2.2).min(1.0).sqrt();
-        let reach = 1.0 / (height + 0.06);
-        let l = level(0.5 * reach * reach);
-        let cloud = textures
-            .stains
-            .sample(ray[0] * reach * 42.0, ray[1] * reach * 42.0, l, l);
-        let cover = smoothstep(0.65 - 1.3 * style.clouds, 1.0 - 1.1 * style.clouds, cloud + 0.12);
-        let white = 0.9 + 0.35 * cloud + 0.15 * style.sun_rgb[1];
-        let sky = [0, 1, 2].map(|k| {
-            let clear = style.horizon_rgb[k] + blue * (style.zenith_rgb[k] - style.horizon_rgb[k]);
-            clear + cover * (white * style.sky_light_rgb[k] * 1.25 - clear)
-        });
-        (sky, false)
+        (rgb, far)
     }
+}
+
+/// Radiance of the sky, clouds and all.
+fn clouds(rays: &[[f32; 3]; LANES], style: &Style, textures: &Textures) -> Colours {
+    let height = lanes(|i| rays[i][2].max(0.0));
+    let blue = lanes(|i| (height[i] * 2.2).min(1.0).sqrt());
+    let reach = lanes(|i| 1.0 / (height[i] + 0.06));
+    let middle = reach[LANES / 2];
+    let l = level(0.5 * middle * middle);
+    let cloud = textures.stains.span(
+        &lanes(|i| rays[i][0] * reach[i] * 42.0),
+        &lanes(|i| rays[i][1] * reach[i] * 42.0),
+        l,
+        l,
+    );
+    let (low, high) = (0.65 - 1.3 * style.clouds, 1.0 - 1.1 * style.clouds);
+    let cover = lanes(|i| smoothstep(low, high, cloud[i] + 0.12));
+    let channel = |k: usize| {
+        lanes(|i| {
+            let white = 0.9 + 0.35 * cloud[i] + 0.15 * style.sun_rgb[1];
+            let clear = style.horizon_rgb[k] + blue[i] * (style.zenith_rgb[k] - style.horizon_rgb[k]);
+            clear + cover[i] * (white * style.sky_light_rgb[k] * 1.25 - clear)
+        })
+    };
+    [channel(0), channel(1), channel(2)]
 }
 
 /// Radiance of a part where a ray meets it.

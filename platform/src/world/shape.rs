@@ -65,7 +65,7 @@ pub(super) struct Hit {
 /// A part seen from one place: all that does not depend on the ray.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen<'a> {
-    part: &'a Part,
+    pub(super) part: &'a Part,
     /// The eye in the part's axes.
     eye: [f32; 3],
     /// Planes of a frustum and the eye's height over each: first those that face the eye.
@@ -164,37 +164,25 @@ impl<'a> Seen<'a> {
         }
     }
 
-    /// Where the unit `ray` meets the part before `limit`.
+    /// Where the unit `ray` meets the part, which [`Self::distance`] has found at `distance`.
     #[inline]
-    pub(super) fn meet(&self, ray: [f32; 3], limit: f32, textures: &Textures) -> Option<Hit> {
+    pub(super) fn met(&self, ray: [f32; 3], distance: f32) -> Hit {
         let r = self.turned(ray);
-        match self.part.shape {
+        let normal = match self.part.shape {
             Shape::Frustum => {
-                let (distance, face) = self.frustum(r, limit)?;
-                let n = self.planes[face].0;
+                let n = self.planes[self.frustum(r, f32::MAX).map_or(0, |(_, face)| face)].0;
                 let scale = 1.0 / dot(n, n).sqrt();
-                Some(Hit {
-                    distance,
-                    point: along(self.eye, r, distance),
-                    normal: n.map(|c| c * scale),
-                })
+                [n[0] * scale, n[1] * scale, n[2] * scale]
             }
-            Shape::Ellipsoid => {
-                let distance = self.ellipsoid(r, limit, textures)?;
-                Some(Hit {
-                    distance,
-                    point: along(self.eye, r, distance),
-                    normal: self.ellipsoid_normal(r, distance),
-                })
-            }
-            Shape::Post | Shape::Wheel => {
-                let (distance, normal) = self.cylinder(r, limit)?;
-                Some(Hit {
-                    distance,
-                    point: along(self.eye, r, distance),
-                    normal,
-                })
-            }
+            Shape::Ellipsoid => self.ellipsoid_normal(r, distance),
+            Shape::Post | Shape::Wheel => self
+                .cylinder(r, f32::MAX)
+                .map_or([0.0, 0.0, 1.0], |(_, normal)| normal),
+        };
+        Hit {
+            distance,
+            point: along(self.eye, r, distance),
+            normal,
         }
     }
 
@@ -228,7 +216,7 @@ impl<'a> Seen<'a> {
         let p = along(self.unit_eye, [r[0] * i[0], r[1] * i[1], r[2] * i[2]], distance);
         let n = [p[0] * i[0], p[1] * i[1], p[2] * i[2]];
         let scale = 1.0 / dot(n, n).sqrt().max(1e-9);
-        n.map(|c| c * scale)
+        [n[0] * scale, n[1] * scale, n[2] * scale]
     }
 
     #[inline]
@@ -302,7 +290,7 @@ impl Part {
     /// Texel of a point on foliage, projected along the axis its surface faces most; leaves hide the seams.
     pub(super) fn foliage_texel(&self, point: [f32; 3], normal: [f32; 3]) -> (f32, f32) {
         let [x, y, z] = point;
-        let [nx, ny, nz] = normal.map(f32::abs);
+        let [nx, ny, nz] = [normal[0].abs(), normal[1].abs(), normal[2].abs()];
         let (u, v) = if nz > nx && nz > ny {
             (x, y)
         } else if nx > ny {
