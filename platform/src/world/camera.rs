@@ -16,7 +16,7 @@ use freespace::space::Pose;
 
 use super::World;
 use super::decal::{Decal, decals};
-use super::lanes::{Colours, LANES, Lanes, lanes};
+use super::lanes::{Colours, LANES, Lanes, lanes, ray};
 use super::light::lit;
 use super::meeting::{Eye, Met, Shutter};
 use super::noise::{hash, wave};
@@ -76,9 +76,10 @@ pub struct SimCamera {
     camera: Camera,
     sensor: Sensor,
     frame: Frame,
-    /// Unit rays in camera space, then in world space.
-    rays: Box<[[f32; 3]]>,
-    world_rays: Box<[[f32; 3]]>,
+    /// Unit rays in camera space, then in world space, of each span of pixels. Spans run on from row to row; the last
+    /// repeats the last pixel, and everything kept for pixels is as long as all spans.
+    rays: Box<[[Lanes; 3]]>,
+    world_rays: Box<[[Lanes; 3]]>,
     gain: Box<[f32]>,
     buffer: DepthBuffer,
     hidden: Box<[[u8; 2]]>,
@@ -90,7 +91,7 @@ pub struct SimCamera {
     decals: Vec<Decal>,
     raw: RgbImage,
     developed: RgbImage,
-    tones: Box<[u8]>,
+    tones: Box<[u8; TONES]>,
     noise: Box<[i16]>,
     column: Box<[i16]>,
     pose: Pose,
@@ -114,22 +115,28 @@ impl SimCamera {
                 extent.high[k] = extent.high[k].max(ray[k] / ray[2]);
             }
         }
-        let gain = (0..width * height)
+        let pixels = width * height;
+        let spans = pixels.div_ceil(LANES);
+        let spanned = (0..spans)
+            .map(|span| {
+                let of = |k: usize| lanes(|i| rays[(span * LANES + i).min(pixels - 1)][k]);
+                [of(0), of(1), of(2)]
+            })
+            .collect();
+        let gain = (0..spans * LANES)
             .map(|i| {
                 let x = (i % width) as f32 / width as f32 - 0.5;
                 let y = (i / width) as f32 / height as f32 - 0.5;
                 1.0 - sensor.vignette * 2.0 * (x * x + y * y)
             })
             .collect();
-        let tones = (0..TONES)
-            .map(|i| {
-                let linear = (i as f32 + 0.5) / TONES as f32;
-                // Gamma with a soft shoulder, as cameras develop their frames.
-                let shoulder = linear * (1.6 - 0.6 * linear);
-                (255.0 * shoulder.min(1.0).powf(0.48) + 0.5) as u8
-            })
-            .collect();
-        let pixels = width * height;
+        let mut tones = Box::new([0; TONES]);
+        for (i, tone) in tones.iter_mut().enumerate() {
+            let linear = (i as f32 + 0.5) / TONES as f32;
+            // Gamma with a soft shoulder, as cameras develop their frames.
+            let shoulder = linear * (1.6 - 0.6 * linear);
+            *tone = (255.0 * shoulder.min(1.0).powf(0.48) + 0.5) as u8;
+        }
         Self {
             camera: *camera,
             sensor: *sensor,
@@ -139,13 +146,13 @@ impl SimCamera {
                 height,
                 extent,
             },
-            rays,
-            world_rays: vec![[0.0; 3]; pixels].into_boxed_slice(),
+            rays: spanned,
+            world_rays: vec![[[0.0; LANES]; 3]; spans].into_boxed_slice(),
             gain,
-            buffer: DepthBuffer::new(pixels),
-            hidden: vec![[0; 2]; pixels].into_boxed_slice(),
-            labels: vec![0; pixels].into_boxed_slice(),
-            depth_m: vec![0.0; pixels].into_boxed_slice(),
+            buffer: DepthBuffer::new(spans * LANES),
+            hidden: vec![[0; 2]; spans * LANES].into_boxed_slice(),
+            labels: vec![0; spans * LANES].into_boxed_slice(),
+            depth_m: vec![0.0; spans * LANES].into_boxed_slice(),
             window: Window::new(),
             movers: Scene::default(),
             order: Vec::new(),
@@ -169,13 +176,13 @@ impl SimCamera {
     /// Labels of the last frame, `[height, width] u8`, see [`Label`].
     #[must_use]
     pub fn labels(&self) -> &[u8] {
-        &self.labels
+        &self.labels[..self.camera.width * self.camera.height]
     }
 
     /// Depth of the last frame in metres along the optical axis, `[height, width] f32`, infinite for the sky.
     #[must_use]
     pub fn depth_m(&self) -> &[f32] {
-        &self.depth_m
+        &self.depth_m[..self.camera.width * self.camera.height]
     }
 
     /// Pose of the last frame.
@@ -215,7 +222,7 @@ impl SimCamera {
         self.pose = world.world_from_camera(seconds, &self.camera.mount);
         let view = View::new(&self.pose);
         for (to, from) in self.world_rays.iter_mut().zip(&self.rays) {
-            *to = view.to_world(*from);
+            *to = view.to_world(from);
         }
         let ahead = view.axes[2];
         let flat = WINDOW_AHEAD_M / ahead[0].hypot(ahead[1]).max(0.2);
@@ -290,7 +297,8 @@ impl SimCamera {
             };
             for y in bounds.y[0]..bounds.y[1] {
                 for i in y * self.camera.width + bounds.x[0]..y * self.camera.width + bounds.x[1] {
-                    decal.darken(&view, self.world_rays[i], &mut self.hidden[i]);
+                    let ray = ray(&self.world_rays[i / LANES], i % LANES);
+                    decal.darken(&view, ray, &mut self.hidden[i]);
                 }
             }
         }
@@ -322,23 +330,20 @@ impl SimCamera {
             pixels: self.raw.pixels_mut(),
         };
         let (mut last, mut part) = (0, None);
-        for first in (0..self.rays.len()).step_by(LANES) {
-            // The last span may be short: its last ray is repeated.
-            let count = LANES.min(self.rays.len() - first);
-            let end = first + count - 1;
-            let (mut rays, mut hidden) = ([[0.0; 3]; LANES], [[0; 2]; LANES]);
-            for i in 0..LANES {
-                rays[i] = self.world_rays[(first + i).min(end)];
-                hidden[i] = self.hidden[(first + i).min(end)];
-            }
-            let limits = lanes(|i| self.buffer.distance[(first + i).min(end)]);
+        let (hidden, _) = self.hidden.as_chunks::<LANES>();
+        let (limits, _) = self.buffer.distance.as_chunks::<LANES>();
+        let (parts, _) = self.buffer.part.as_chunks::<LANES>();
+        let (labels_out, _) = self.labels.as_chunks_mut::<LANES>();
+        let (depths_out, _) = self.depth_m.as_chunks_mut::<LANES>();
+        for (span, rays) in self.world_rays.iter().enumerate() {
+            let (limits, hidden, parts) = (&limits[span], &hidden[span], &parts[span]);
             let mut labels = [Label::Sky as u8; LANES];
-            let mut distance = limits;
+            let mut distance = *limits;
             let mut rgb: Colours = [[0.0; LANES]; 3];
             let mut met = [Met::Nothing; LANES];
-            if let Some(meetings) = eye.meet(&rays, &limits) {
+            if let Some(meetings) = eye.meet(rays, limits) {
                 met = meetings.met;
-                rgb = meetings.shade(world, &rays, &shutter, &hidden);
+                rgb = meetings.shade(world, rays, &shutter, hidden);
                 for i in 0..LANES {
                     if met[i] != Met::Nothing {
                         distance[i] = meetings.distance[i];
@@ -348,11 +353,11 @@ impl SimCamera {
                 }
             }
             let mut sky = [false; LANES];
-            for i in 0..count {
+            for i in 0..LANES {
                 if met[i] != Met::Nothing {
                     continue;
                 }
-                let id = self.buffer.part[first + i];
+                let id = parts[i];
                 sky[i] = id == 0;
                 if sky[i] {
                     continue;
@@ -362,7 +367,7 @@ impl SimCamera {
                     last = id;
                 }
                 if let Some(seen) = &part {
-                    let hit = seen.met(rays[i], limits[i]);
+                    let hit = seen.met(ray(rays, i), limits[i]);
                     let colour = lit(seen.part, &hit, style, &world.textures, shutter.pixel_rad);
                     (rgb[0][i], rgb[1][i], rgb[2][i]) = (colour[0], colour[1], colour[2]);
                     labels[i] = seen.part.label;
@@ -370,7 +375,7 @@ impl SimCamera {
             }
             haze(&mut rgb, &distance, style);
             if sky.contains(&true) {
-                let (colours, far) = world.sky.seen(&rays, style, &world.textures);
+                let (colours, far) = world.sky.seen(rays, style, &world.textures);
                 for i in 0..LANES {
                     if sky[i] {
                         for k in 0..3 {
@@ -381,11 +386,9 @@ impl SimCamera {
                     }
                 }
             }
-            tones.emit(first, count, &rgb);
-            for i in 0..count {
-                self.labels[first + i] = labels[i];
-                self.depth_m[first + i] = distance[i] * self.rays[first + i][2];
-            }
+            tones.emit(span, &rgb);
+            labels_out[span] = labels;
+            depths_out[span] = lanes(|i| distance[i] * self.rays[span][2][i]);
         }
     }
 
@@ -404,13 +407,18 @@ impl SimCamera {
             let column = &mut self.column;
             let start = hash(stamp, y as u32) as usize % (self.noise.len() - bytes);
             let noise = &self.noise[start..start + bytes];
-            for i in 0..bytes {
-                column[i] = side * (i16::from(above[i]) + i16::from(below[i])) + middle * i16::from(here[i]);
+            for (sum, ((a, h), b)) in column.iter_mut().zip(above.iter().zip(here).zip(below)) {
+                *sum = side * (i16::from(*a) + i16::from(*b)) + middle * i16::from(*h);
             }
             let target = out.row_mut(y);
-            for i in 3..bytes.saturating_sub(3) {
-                let tone = side * (column[i - 3] + column[i + 3]) + middle * column[i] + noise[i] + 32;
-                target[i] = (tone >> 6).clamp(0, 255) as u8;
+            // All but the outermost columns, which have no neighbours on one side.
+            let inner = bytes - 6;
+            let (left, middles) = (&column[..inner], &column[3..3 + inner]);
+            let (right, noisy) = (&column[6..6 + inner], &noise[3..3 + inner]);
+            let inside = target[3..3 + inner].iter_mut();
+            for ((to, (l, m)), (r, n)) in inside.zip(left.iter().zip(middles)).zip(right.iter().zip(noisy)) {
+                let tone = side * (l + r) + middle * m + n + 32;
+                *to = (tone >> 6).clamp(0, 255) as u8;
             }
             for i in (0..3).chain(bytes - 3..bytes) {
                 target[i] = ((8 * column[i] + noise[i] + 32) >> 6).clamp(0, 255) as u8;
@@ -421,7 +429,7 @@ impl SimCamera {
 
 /// Radiance to grey levels.
 struct Tones<'a> {
-    table: &'a [u8],
+    table: &'a [u8; TONES],
     gain: &'a [f32],
     scale: f32,
     pixels: &'a mut [u8],
@@ -429,14 +437,20 @@ struct Tones<'a> {
 
 impl Tones<'_> {
     #[inline]
-    fn emit(&mut self, first: usize, count: usize, rgb: &Colours) {
-        let gain = &self.gain[first..first + count];
-        let pixels = self.pixels[3 * first..3 * (first + count)].chunks_exact_mut(3);
-        let top = (TONES - 1) as f32;
-        for (i, (pixel, gain)) in pixels.zip(gain).enumerate() {
+    fn emit(&mut self, span: usize, rgb: &Colours) {
+        let first = span * LANES;
+        let gain = &self.gain[first..first + LANES];
+        let mut levels = [[0_i32; LANES]; 3];
+        for (levels, channel) in levels.iter_mut().zip(rgb) {
+            for i in 0..LANES {
+                let tone = channel[i] * self.scale * gain[i];
+                levels[i] = tone.clamp(0.0, (TONES - 1) as f32) as i32;
+            }
+        }
+        let end = (3 * (first + LANES)).min(self.pixels.len());
+        for (i, pixel) in self.pixels[3 * first..end].chunks_exact_mut(3).enumerate() {
             for k in 0..3 {
-                let tone = (rgb[k][i] * self.scale * gain).clamp(0.0, top) as usize;
-                pixel[k] = self.table[tone.min(TONES - 1)];
+                pixel[k] = self.table[levels[k][i] as usize & (TONES - 1)];
             }
         }
     }

@@ -37,3 +37,9 @@ pub(super) fn range(of: &Lanes) -> (f32, f32) {
     of.iter()
         .fold((f32::MAX, f32::MIN), |(low, high), &x| (low.min(x), high.max(x)))
 }
+
+/// One vector of a span of them.
+#[inline(always)]
+pub(super) fn ray(rays: &[Lanes; 3], i: usize) -> [f32; 3] {
+    [rays[0][i], rays[1][i], rays[2][i]]
+}

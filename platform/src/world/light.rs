@@ -8,7 +8,7 @@
     reason = "table indices are bounded by the table"
 )]
 
-use super::lanes::{Colours, LANES, lanes, range};
+use super::lanes::{Colours, LANES, Lanes, lanes, range};
 use super::noise::{floor, hash, smoothstep, unit, wave};
 use super::shape::{Hit, Material, Part};
 use super::style::Style;
@@ -41,19 +41,19 @@ impl Sky {
     /// Radiance along a span of unit rays, and where the far tree line is seen.
     pub(super) fn seen(
         &self,
-        rays: &[[f32; 3]; LANES],
+        rays: &[Lanes; 3],
         style: &Style,
         textures: &Textures,
     ) -> (Colours, [bool; LANES]) {
         let mut rgb = clouds(rays, style, textures);
         let mut far = [false; LANES];
         let slope =
-            lanes(|i| rays[i][2] / (rays[i][0] * rays[i][0] + rays[i][1] * rays[i][1]).sqrt().max(1e-3));
+            lanes(|i| rays[2][i] / (rays[0][i] * rays[0][i] + rays[1][i] * rays[1][i]).sqrt().max(1e-3));
         if range(&slope).0 >= 1.6 * style.skyline {
             return (rgb, far);
         }
-        let turn_of = |ray: [f32; 3]| ray[1].atan2(ray[0]) / std::f32::consts::TAU + 0.5;
-        let (from, to) = (turn_of(rays[0]), turn_of(rays[LANES - 1]));
+        let turn_of = |i: usize| rays[1][i].atan2(rays[0][i]) / std::f32::consts::TAU + 0.5;
+        let (from, to) = (turn_of(0), turn_of(LANES - 1));
         // The short way round.
         let step = (to - from - (to - from).round()) / (LANES - 1) as f32;
         let turn = lanes(|i| {
@@ -90,15 +90,15 @@ impl Sky {
 }
 
 /// Radiance of the sky, clouds and all.
-fn clouds(rays: &[[f32; 3]; LANES], style: &Style, textures: &Textures) -> Colours {
-    let height = lanes(|i| rays[i][2].max(0.0));
+fn clouds(rays: &[Lanes; 3], style: &Style, textures: &Textures) -> Colours {
+    let height = lanes(|i| rays[2][i].max(0.0));
     let blue = lanes(|i| (height[i] * 2.2).min(1.0).sqrt());
     let reach = lanes(|i| 1.0 / (height[i] + 0.06));
     let middle = reach[LANES / 2];
     let l = level(0.5 * middle * middle);
     let cloud = textures.stains.span(
-        &lanes(|i| rays[i][0] * reach[i] * 42.0),
-        &lanes(|i| rays[i][1] * reach[i] * 42.0),
+        &lanes(|i| rays[0][i] * reach[i] * 42.0),
+        &lanes(|i| rays[1][i] * reach[i] * 42.0),
         l,
         l,
     );

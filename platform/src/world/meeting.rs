@@ -7,7 +7,7 @@
 
 use super::World;
 use super::ground::{Footprint, Places};
-use super::lanes::{Colours, LANES, Lanes, lanes};
+use super::lanes::{Colours, LANES, Lanes, lanes, ray};
 use super::raster::View;
 use super::window::Window;
 
@@ -64,11 +64,11 @@ type Located = ([f32; 2], [f32; 2], f32, [f32; 2]);
 impl Eye<'_> {
     /// What the rays meet before their limits; none where no ray meets anything.
     #[inline]
-    pub(super) fn meet(&self, rays: &[[f32; 3]; LANES], limits: &Lanes) -> Option<Meetings> {
+    pub(super) fn meet(&self, rays: &[Lanes; 3], limits: &Lanes) -> Option<Meetings> {
         let height = self.view.origin[2] - self.world.style.kerb_m;
         let raised = lanes(|i| {
-            if rays[i][2] < -LEAST_FALL {
-                height / -rays[i][2]
+            if rays[2][i] < -LEAST_FALL {
+                height / -rays[2][i]
             } else {
                 f32::INFINITY
             }
@@ -76,7 +76,7 @@ impl Eye<'_> {
         if (0..LANES).all(|i| raised[i] >= limits[i]) {
             return None;
         }
-        let flat = lanes(|i| self.view.origin[2] / -rays[i][2]);
+        let flat = lanes(|i| self.view.origin[2] / -rays[2][i]);
         if let Some(meetings) = self.smooth(rays, limits, &raised, &flat) {
             return Some(meetings);
         }
@@ -94,18 +94,18 @@ impl Eye<'_> {
     /// The span as a straight line on one of the two planes, where no kerb can lie between its ends.
     fn smooth(
         &self,
-        rays: &[[f32; 3]; LANES],
+        rays: &[Lanes; 3],
         limits: &Lanes,
         raised: &Lanes,
         flat: &Lanes,
     ) -> Option<Meetings> {
         const LAST: usize = LANES - 1;
-        if rays[0][2] >= -LEAST_FALL || rays[LAST][2] >= -LEAST_FALL {
+        if rays[2][0] >= -LEAST_FALL || rays[2][LAST] >= -LEAST_FALL {
             return None;
         }
         let ends = |distance: &Lanes| {
-            let a = self.at(rays[0], distance[0])?;
-            let b = self.at(rays[LAST], distance[LAST])?;
+            let a = self.at(ray(rays, 0), distance[0])?;
+            let b = self.at(ray(rays, LAST), distance[LAST])?;
             // The distance to the edge changes by less than two metres a metre.
             let apart = 2.0 * (b.3[0] - a.3[0]).hypot(b.3[1] - a.3[1]);
             Some((a, b, apart))
@@ -127,8 +127,8 @@ impl Eye<'_> {
         let run = [b.3[0] - a.3[0], b.3[1] - a.3[1]];
         let scale = 1.0 / (run[0] * run[0] + run[1] * run[1]).max(1e-9);
         let share = lanes(|i| {
-            let x = self.view.origin[0] + distance[i] * rays[i][0] - a.3[0];
-            let y = self.view.origin[1] + distance[i] * rays[i][1] - a.3[1];
+            let x = self.view.origin[0] + distance[i] * rays[0][i] - a.3[0];
+            let y = self.view.origin[1] + distance[i] * rays[1][i] - a.3[1];
             (x * run[0] + y * run[1]) * scale
         });
         let mut all = [met; LANES];
@@ -151,7 +151,7 @@ impl Eye<'_> {
     }
 
     /// Every ray on its own.
-    fn each(&self, rays: &[[f32; 3]; LANES], limits: &Lanes, raised: &Lanes, flat: &Lanes) -> Meetings {
+    fn each(&self, rays: &[Lanes; 3], limits: &Lanes, raised: &Lanes, flat: &Lanes) -> Meetings {
         let mut all = Meetings {
             met: [Met::Nothing; LANES],
             distance: *raised,
@@ -167,7 +167,7 @@ impl Eye<'_> {
             if raised[i] >= limits[i] {
                 continue;
             }
-            let (met, distance, located) = self.follow(rays[i], raised[i], flat[i]);
+            let (met, distance, located) = self.follow(ray(rays, i), raised[i], flat[i]);
             if distance >= limits[i] {
                 continue;
             }
@@ -215,7 +215,7 @@ impl Meetings {
     pub(super) fn shade(
         &self,
         world: &World,
-        rays: &[[f32; 3]; LANES],
+        rays: &[Lanes; 3],
         shutter: &Shutter,
         hidden: &[[u8; 2]; LANES],
     ) -> Colours {
@@ -225,7 +225,7 @@ impl Meetings {
         if self.typical == LANES {
             return rgb;
         }
-        let foot = self.footprint(rays[self.typical], shutter);
+        let foot = self.footprint(ray(rays, self.typical), shutter);
         let open = lanes(|i| 1.0 - f32::from(hidden[i][0]) * (1.0 / 255.0));
         let mut sun = [0.0; LANES];
         if style.sun_rgb[1] > 0.0 {
