@@ -16,13 +16,13 @@ use freespace::space::Pose;
 
 use super::World;
 use super::decal::{Decal, decals};
-use super::lanes::{Colours, LANES, Lanes, lanes, ray};
-use super::light::lit;
+use super::lanes::{Colours, LANES, Lanes, lanes, put, ray};
+use super::light::{lit, lit_foliage};
 use super::meeting::{Eye, Met, Shutter};
 use super::noise::{hash, wave};
 use super::raster::{DepthBuffer, Extent, Frame, View, nearest_m};
 use super::scene::{NEAR_M, Scene};
-use super::shape::{Part, Seen};
+use super::shape::{Material, Part, Seen};
 use super::style::Style;
 use super::truth::Label;
 use super::window::Window;
@@ -354,33 +354,38 @@ impl SimCamera {
             }
             let mut sky = [false; LANES];
             for i in 0..LANES {
-                if met[i] != Met::Nothing {
+                sky[i] = met[i] == Met::Nothing && parts[i] == 0;
+            }
+            for i in 0..LANES {
+                if met[i] != Met::Nothing || sky[i] {
                     continue;
                 }
-                let id = parts[i];
-                sky[i] = id == 0;
-                if sky[i] {
-                    continue;
+                if parts[i] != last {
+                    last = parts[i];
+                    part = Some(Seen::new(part_at(world, &self.movers, last - 1), view.origin));
                 }
-                if id != last {
-                    part = Some(Seen::new(part_at(world, &self.movers, id - 1), view.origin));
-                    last = id;
+                let Some(seen) = &part else { continue };
+                let leafy = seen.part.material == Material::Foliage;
+                if leafy && (0..LANES).all(|k| parts[k] == last) {
+                    let hits = std::array::from_fn(|k| seen.met(ray(rays, k), limits[k]));
+                    let leaves = lit_foliage(seen.part, &hits, style, &world.textures, shutter.pixel_rad);
+                    for k in (0..LANES).filter(|&k| met[k] == Met::Nothing) {
+                        put(&mut rgb, k, ray(&leaves, k));
+                        labels[k] = seen.part.label;
+                    }
+                    break;
                 }
-                if let Some(seen) = &part {
-                    let hit = seen.met(ray(rays, i), limits[i]);
-                    let colour = lit(seen.part, &hit, style, &world.textures, shutter.pixel_rad);
-                    (rgb[0][i], rgb[1][i], rgb[2][i]) = (colour[0], colour[1], colour[2]);
-                    labels[i] = seen.part.label;
-                }
+                let hit = seen.met(ray(rays, i), limits[i]);
+                let colour = lit(seen.part, &hit, style, &world.textures, shutter.pixel_rad);
+                put(&mut rgb, i, colour);
+                labels[i] = seen.part.label;
             }
             haze(&mut rgb, &distance, style);
             if sky.contains(&true) {
                 let (colours, far) = world.sky.seen(rays, style, &world.textures);
                 for i in 0..LANES {
                     if sky[i] {
-                        for k in 0..3 {
-                            rgb[k][i] = colours[k][i];
-                        }
+                        put(&mut rgb, i, ray(&colours, i));
                         labels[i] = if far[i] { Label::Far } else { Label::Sky } as u8;
                         distance[i] = f32::INFINITY;
                     }
@@ -440,11 +445,13 @@ impl Tones<'_> {
     fn emit(&mut self, span: usize, rgb: &Colours) {
         let first = span * LANES;
         let gain = &self.gain[first..first + LANES];
-        let mut levels = [[0_i32; LANES]; 3];
+        // Adding this rounds to a whole number in the low bits.
+        const WHOLE: f32 = 8_388_608.0;
+        let mut levels = [[0_u32; LANES]; 3];
         for (levels, channel) in levels.iter_mut().zip(rgb) {
             for i in 0..LANES {
-                let tone = channel[i] * self.scale * gain[i];
-                levels[i] = tone.clamp(0.0, (TONES - 1) as f32) as i32;
+                let tone = channel[i] * self.scale * gain[i] - 0.5;
+                levels[i] = (tone.clamp(0.0, (TONES - 1) as f32) + WHOLE).to_bits();
             }
         }
         let end = (3 * (first + LANES)).min(self.pixels.len());

@@ -11,7 +11,7 @@
     reason = "cell indices are clamped to the road's length"
 )]
 
-use super::lanes::{Colours, LANES, Lanes, coloured, lanes, range};
+use super::lanes::{Colours, LANES, Lanes, coloured, lanes, put, range};
 use super::noise::{Seeded, smoothstep};
 use super::road::{BEHIND_M, BEYOND_M};
 use super::style::{Kind, Style, Surface};
@@ -191,7 +191,7 @@ impl Ground {
                 let worn = smoothstep(-0.3, 0.5, stain[i] + streak[i] + 0.3 * track[i]);
                 let whole = 1.0 - style.marking_wear * worn;
                 let fresh = scaled(style.marking_rgb, 0.8 + 0.25 * asphalt[i]);
-                put(&mut rgb, i, |old| mix(old, fresh, paint[i] * whole));
+                change(&mut rgb, i, |old| mix(old, fresh, paint[i] * whole));
             }
         }
         rgb
@@ -213,7 +213,7 @@ impl Ground {
         }
         for i in 0..LANES {
             let inlay = self.inlays[cell(at.s[i])];
-            put(rgb, i, |old| inlaid(old, inlay, at.s[i], at.d[i], foot, style));
+            change(rgb, i, |old| inlaid(old, inlay, at.s[i], at.d[i], foot, style));
         }
     }
 
@@ -253,7 +253,7 @@ impl Ground {
             let new = drawn();
             for i in 0..LANES {
                 if wanted[i] && !painted[i] {
-                    put(&mut rgb, i, |_| [new[0][i], new[1][i], new[2][i]]);
+                    change(&mut rgb, i, |_| [new[0][i], new[1][i], new[2][i]]);
                     painted[i] = true;
                 }
             }
@@ -290,8 +290,9 @@ fn modulo(x: f32, period: f32) -> f32 {
 
 /// Changes the colour of one pixel of a span.
 #[inline]
-fn put(rgb: &mut Colours, i: usize, change: impl FnOnce([f32; 3]) -> [f32; 3]) {
-    [rgb[0][i], rgb[1][i], rgb[2][i]] = change([rgb[0][i], rgb[1][i], rgb[2][i]]);
+fn change(rgb: &mut Colours, i: usize, by: impl FnOnce([f32; 3]) -> [f32; 3]) {
+    let new = by([rgb[0][i], rgb[1][i], rgb[2][i]]);
+    put(rgb, i, new);
 }
 
 /// Draws the gutter, or the dirt that gathers along the kerb.
@@ -305,10 +306,10 @@ fn kerbside(rgb: &mut Colours, tone: &Lanes, at: &Places, foot: Footprint, style
             let joint = covered(modulo(at.s[i], 0.5), foot.along_m, 0.0, 0.02);
             let stone = scaled(style.gutter_rgb, tone[i] * (1.0 - 0.4 * joint));
             let share = covered(edge, foot.across_m, -style.gutter_m, 1.0);
-            put(rgb, i, |old| mix(old, stone, share));
+            change(rgb, i, |old| mix(old, stone, share));
         } else if edge > -0.35 {
             let dirt = 0.25 * style.stains * smoothstep(-0.35, 0.0, edge);
-            put(rgb, i, |old| scaled(old, 1.0 - dirt));
+            change(rgb, i, |old| scaled(old, 1.0 - dirt));
         }
     }
 }

@@ -38,7 +38,15 @@ pub(super) fn range(of: &Lanes) -> (f32, f32) {
         .fold((f32::MAX, f32::MIN), |(low, high), &x| (low.min(x), high.max(x)))
 }
 
-/// One vector of a span of them.
+/// Sets the colour of one pixel of a span.
+#[inline(always)]
+pub(super) fn put(colours: &mut Colours, i: usize, rgb: [f32; 3]) {
+    for (channel, value) in colours.iter_mut().zip(rgb) {
+        channel[i] = value;
+    }
+}
+
+/// The vector or colour of one pixel of a span.
 #[inline(always)]
 pub(super) fn ray(rays: &[Lanes; 3], i: usize) -> [f32; 3] {
     [rays[0][i], rays[1][i], rays[2][i]]

@@ -47,8 +47,12 @@ impl Sky {
     ) -> (Colours, [bool; LANES]) {
         let mut rgb = clouds(rays, style, textures);
         let mut far = [false; LANES];
-        let slope =
-            lanes(|i| rays[2][i] / (rays[0][i] * rays[0][i] + rays[1][i] * rays[1][i]).sqrt().max(1e-3));
+        let slope = lanes(|i| {
+            rays[2][i]
+                / (rays[0][i] * rays[0][i] + rays[1][i] * rays[1][i])
+                    .sqrt()
+                    .max(1e-3)
+        });
         if range(&slope).0 >= 1.6 * style.skyline {
             return (rgb, far);
         }
@@ -69,12 +73,9 @@ impl Sky {
         if !far.contains(&true) {
             return (rgb, far);
         }
-        let leaves = textures.leaves.span(
-            &lanes(|i| turn[i] * 6000.0),
-            &lanes(|i| slope[i] * 1300.0),
-            0,
-            0,
-        );
+        let leaves = textures
+            .leaves
+            .span(&lanes(|i| turn[i] * 6000.0), &lanes(|i| slope[i] * 1300.0), 0, 0);
         let haze = 0.2 + 0.6 * 300.0 / (300.0 + style.haze_m);
         for (k, channel) in rgb.iter_mut().enumerate() {
             let lit = style.leaf_rgb[k] * (style.sky_light_rgb[k] + 0.3 * style.sun_rgb[k]);
@@ -122,13 +123,54 @@ pub(super) fn lit(part: &Part, hit: &Hit, style: &Style, textures: &Textures, pi
     let [nx, ny, nz] = hit.normal;
     let world = [nx * part.cos - ny * part.sin, nx * part.sin + ny * part.cos, nz];
     let sun = (world[0] * style.sun[0] + world[1] * style.sun[1] + world[2] * style.sun[2]).max(0.0);
-    // Less sky is seen from low down and by surfaces that face the ground.
-    let open = (0.62 + 0.38 * nz) * (0.6 + 0.4 * (hit.point[2] + part.base[2]).clamp(0.0, 1.0));
+    let open = openness(nz, hit.point[2] + part.base[2]);
     for (k, c) in rgb.iter_mut().enumerate() {
         let sky = 0.5 * style.horizon_rgb[k] * (0.4 + 0.6 * nz.max(0.0));
         *c = *c * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k]) + gloss * sky;
     }
     rgb
+}
+
+/// Radiance of a span of foliage, all of one part.
+pub(super) fn lit_foliage(
+    part: &Part,
+    hits: &[Hit; LANES],
+    style: &Style,
+    textures: &Textures,
+    pixel_rad: f32,
+) -> Colours {
+    let foot_m = hits[LANES / 2].distance * pixel_rad;
+    let (mut u, mut v) = ([0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        (u[i], v[i]) = part.foliage_texel(hits[i].point, hits[i].normal);
+    }
+    let (l, m) = (level(foot_m * 110.0), level(foot_m * 22.0));
+    let fine = textures.leaves.span(&u, &v, l, l);
+    let coarse = textures
+        .leaves
+        .span(&lanes(|i| 0.2 * u[i]), &lanes(|i| 0.2 * v[i]), m, m);
+    let height = 1.0 / part.height;
+    let tone = lanes(|i| {
+        let under = 0.5 + 0.5 * (hits[i].point[2] * height).clamp(0.0, 1.0);
+        ((0.85 + 0.85 * fine[i] + 0.6 * coarse[i]) * under).max(0.08)
+    });
+    let ahead = style.sun[0] * part.cos + style.sun[1] * part.sin;
+    let aside = style.sun[1] * part.cos - style.sun[0] * part.sin;
+    let sun = lanes(|i| {
+        let n = hits[i].normal;
+        (n[0] * ahead + n[1] * aside + n[2] * style.sun[2]).max(0.0)
+    });
+    let open = lanes(|i| openness(hits[i].normal[2], hits[i].point[2] + part.base[2]));
+    let channel = |k: usize| {
+        lanes(|i| part.rgb[k] * tone[i] * (open[i] * style.sky_light_rgb[k] + sun[i] * style.sun_rgb[k]))
+    };
+    [channel(0), channel(1), channel(2)]
+}
+
+/// Share of the sky's light: less is seen from low down and by surfaces that face the ground.
+#[inline]
+fn openness(up: f32, height: f32) -> f32 {
+    (0.62 + 0.38 * up) * (0.6 + 0.4 * height.clamp(0.0, 1.0))
 }
 
 fn reflectance(part: &Part, hit: &Hit, textures: &Textures, foot_m: f32, gloss: &mut f32) -> [f32; 3] {

@@ -92,13 +92,7 @@ impl Eye<'_> {
     }
 
     /// The span as a straight line on one of the two planes, where no kerb can lie between its ends.
-    fn smooth(
-        &self,
-        rays: &[Lanes; 3],
-        limits: &Lanes,
-        raised: &Lanes,
-        flat: &Lanes,
-    ) -> Option<Meetings> {
+    fn smooth(&self, rays: &[Lanes; 3], limits: &Lanes, raised: &Lanes, flat: &Lanes) -> Option<Meetings> {
         const LAST: usize = LANES - 1;
         if rays[2][0] >= -LEAST_FALL || rays[2][LAST] >= -LEAST_FALL {
             return None;

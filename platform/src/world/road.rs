@@ -165,7 +165,7 @@ impl Road {
     fn section(&self, s: f32, side: usize) -> (f32, f32) {
         let place =
             ((s + BEHIND_M as f32) * (1.0 / STEP_M as f32)).clamp(0.0, (self.sections.len() - 2) as f32);
-        let i = place as usize;
+        let i = place as i32 as usize;
         let f = place - i as f32;
         let (a, b) = (&self.sections[i], &self.sections[i + 1]);
         (

@@ -10,7 +10,7 @@
 )]
 
 use super::ground::{Footprint, Places};
-use super::lanes::{LANES, Lanes, lanes};
+use super::lanes::{LANES, Lanes, lanes, range};
 use super::noise::smoothstep;
 use super::road::{BEHIND_M, BEYOND_M, Road};
 use super::scene::Scene;
@@ -26,7 +26,13 @@ const REACH_M: f32 = 0.5 * COLUMNS as f32 * CELL_M;
 pub(super) struct Shadow {
     cells: Vec<[u8; 2]>,
     rows: usize,
+    /// Of each block of cells, with a margin: whether anything is hidden there.
+    dark: Vec<bool>,
 }
+
+/// Cells along a side of a block.
+const BLOCK: usize = 8;
+const BLOCK_COLUMNS: usize = COLUMNS / BLOCK;
 
 impl Shadow {
     /// Casts every part of `scene`; empty where no sun shines.
@@ -35,13 +41,42 @@ impl Shadow {
         let mut shadow = Self {
             cells: vec![[0; 2]; rows * COLUMNS],
             rows,
+            dark: vec![false; (rows / BLOCK + 1) * BLOCK_COLUMNS],
         };
         for object in &scene.objects {
             for part in &scene.parts[object.first..object.first + object.count] {
                 shadow.cast(part, object.s, road, sun, textures);
             }
         }
+        shadow.mark();
         shadow
+    }
+
+    /// Marks the blocks from which a hidden cell, or the neighbour of one, may be read.
+    fn mark(&mut self) {
+        for (i, _) in self.cells.iter().enumerate().filter(|(_, cell)| **cell != [0; 2]) {
+            let (row, column) = (i / COLUMNS, i % COLUMNS);
+            for row in [row.saturating_sub(2), (row + 2).min(self.rows - 1)] {
+                for column in [column.saturating_sub(2), (column + 2).min(COLUMNS - 1)] {
+                    self.dark[row / BLOCK * BLOCK_COLUMNS + column / BLOCK] = true;
+                }
+            }
+        }
+    }
+
+    /// Whether nothing is hidden anywhere between the least and greatest coordinates of some places.
+    fn open(&self, at: &Places) -> bool {
+        const SIDE_M: f32 = BLOCK as f32 * CELL_M;
+        let ((s0, s1), (d0, d1)) = (range(&at.s), range(&at.d));
+        let last = (self.rows / BLOCK) as f32;
+        let row = |s: f32| ((s + BEHIND_M as f32) * (1.0 / SIDE_M)).clamp(0.0, last) as i32 as usize;
+        let column =
+            |d: f32| ((d + REACH_M) * (1.0 / SIDE_M)).clamp(0.0, BLOCK_COLUMNS as f32 - 1.0) as i32 as usize;
+        let (first, end) = (column(d0), column(d1));
+        (row(s0)..=row(s1)).all(|row| {
+            let blocks = &self.dark[row * BLOCK_COLUMNS..(row + 1) * BLOCK_COLUMNS];
+            !blocks[first.min(end)..=end].contains(&true)
+        })
     }
 
     fn cast(&mut self, part: &Part, s: f32, road: &Road, sun: [f32; 3], textures: &Textures) {
@@ -82,6 +117,9 @@ impl Shadow {
 
     /// Share of sunlight at places on the ground.
     pub(super) fn sunlight(&self, textures: &Textures, at: &Places, foot: Footprint) -> Lanes {
+        if self.open(at) {
+            return [1.0; LANES];
+        }
         let (mut solid, mut leafy, mut any) = ([0.0; LANES], [0.0; LANES], false);
         for i in 0..LANES {
             if let Some([s, l]) = self.hidden(at.s[i], at.d[i]) {
@@ -108,13 +146,16 @@ impl Shadow {
         if x < 0.0 || y < 0.0 {
             return None;
         }
-        let (i, j) = (x as usize, y as usize);
+        let (i, j) = (x as i32 as usize, y as i32 as usize);
         if i + 1 >= COLUMNS || j + 1 >= self.rows {
             return None;
         }
         let (fx, fy) = (x - i as f32, y - j as f32);
         let at = j * COLUMNS + i;
-        let (top, bottom) = (&self.cells[at..at + 2], &self.cells[at + COLUMNS..at + COLUMNS + 2]);
+        let (top, bottom) = (
+            &self.cells[at..at + 2],
+            &self.cells[at + COLUMNS..at + COLUMNS + 2],
+        );
         let (a, b, c, e) = (top[0], top[1], bottom[0], bottom[1]);
         if [a, b, c, e] == [[0; 2]; 4] {
             return None;

@@ -121,6 +121,7 @@ impl Tile {
     #[inline]
     fn plane(&self, level_u: usize, level_v: usize) -> Plane<'_> {
         let shrink = |level: usize| f32::from_bits((127 - level as u32) << 23);
+        let (level_u, level_v) = (level_u.min(LEVELS - 1), level_v.min(LEVELS - 1));
         let start = self.offsets[level_v][level_u] as usize;
         Plane {
             quads: &self.quads[start..start + ((SIZE >> level_u) * (SIZE >> level_v))],

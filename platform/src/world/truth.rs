@@ -13,8 +13,8 @@ use freespace::frame::Camera;
 use nalgebra::Point3;
 
 use super::World;
-use super::scene::{NEAR_M, Scene};
 use super::scene::Object;
+use super::scene::{NEAR_M, Scene};
 use super::shape::{Part, Seen, Shape};
 
 /// What a pixel shows.
