@@ -15,12 +15,15 @@ use freespace::frame::{Camera, GrayImage, RayTable, RgbImage};
 use freespace::space::Pose;
 
 use super::World;
-use super::ground::Footprint;
-use super::light::lit;
+use super::decal::{Decal, decals};
+use super::lanes::{Colours, LANES, Lanes, lanes, put, ray};
+use super::light::{lit, lit_foliage};
+use super::meeting::{Eye, Met, Shutter};
 use super::noise::{hash, wave};
 use super::raster::{DepthBuffer, Extent, Frame, View, nearest_m};
 use super::scene::{NEAR_M, Scene};
-use super::shape::{Part, Seen};
+use super::shape::{Material, Part, Seen};
+use super::style::Style;
 use super::truth::Label;
 use super::window::Window;
 
@@ -67,26 +70,16 @@ impl Default for Sensor {
     }
 }
 
-/// A soft dark patch under something on the road.
-#[derive(Clone, Copy, Debug)]
-struct Decal {
-    base: [f32; 3],
-    turn: [f32; 2],
-    half: [f32; 2],
-    soft: f32,
-    /// Share of sky light hidden, share of sunlight hidden.
-    hides: [f32; 2],
-}
-
 /// A camera on the ego car.
 #[derive(Clone, Debug)]
 pub struct SimCamera {
     camera: Camera,
     sensor: Sensor,
     frame: Frame,
-    /// Unit rays in camera space, then in world space.
-    rays: Box<[[f32; 3]]>,
-    world_rays: Box<[[f32; 3]]>,
+    /// Unit rays in camera space, then in world space, of each span of pixels. Spans run on from row to row; the last
+    /// repeats the last pixel, and everything kept for pixels is as long as all spans.
+    rays: Box<[[Lanes; 3]]>,
+    world_rays: Box<[[Lanes; 3]]>,
     gain: Box<[f32]>,
     buffer: DepthBuffer,
     hidden: Box<[[u8; 2]]>,
@@ -98,7 +91,7 @@ pub struct SimCamera {
     decals: Vec<Decal>,
     raw: RgbImage,
     developed: RgbImage,
-    tones: Box<[u8]>,
+    tones: Box<[u8; TONES]>,
     noise: Box<[i16]>,
     column: Box<[i16]>,
     pose: Pose,
@@ -122,22 +115,28 @@ impl SimCamera {
                 extent.high[k] = extent.high[k].max(ray[k] / ray[2]);
             }
         }
-        let gain = (0..width * height)
+        let pixels = width * height;
+        let spans = pixels.div_ceil(LANES);
+        let spanned = (0..spans)
+            .map(|span| {
+                let of = |k: usize| lanes(|i| rays[(span * LANES + i).min(pixels - 1)][k]);
+                [of(0), of(1), of(2)]
+            })
+            .collect();
+        let gain = (0..spans * LANES)
             .map(|i| {
                 let x = (i % width) as f32 / width as f32 - 0.5;
                 let y = (i / width) as f32 / height as f32 - 0.5;
                 1.0 - sensor.vignette * 2.0 * (x * x + y * y)
             })
             .collect();
-        let tones = (0..TONES)
-            .map(|i| {
-                let linear = (i as f32 + 0.5) / TONES as f32;
-                // Gamma with a soft shoulder, as cameras develop their frames.
-                let shoulder = linear * (1.6 - 0.6 * linear);
-                (255.0 * shoulder.min(1.0).powf(0.48) + 0.5) as u8
-            })
-            .collect();
-        let pixels = width * height;
+        let mut tones = Box::new([0; TONES]);
+        for (i, tone) in tones.iter_mut().enumerate() {
+            let linear = (i as f32 + 0.5) / TONES as f32;
+            // Gamma with a soft shoulder, as cameras develop their frames.
+            let shoulder = linear * (1.6 - 0.6 * linear);
+            *tone = (255.0 * shoulder.min(1.0).powf(0.48) + 0.5) as u8;
+        }
         Self {
             camera: *camera,
             sensor: *sensor,
@@ -147,13 +146,13 @@ impl SimCamera {
                 height,
                 extent,
             },
-            rays,
-            world_rays: vec![[0.0; 3]; pixels].into_boxed_slice(),
+            rays: spanned,
+            world_rays: vec![[[0.0; LANES]; 3]; spans].into_boxed_slice(),
             gain,
-            buffer: DepthBuffer::new(pixels),
-            hidden: vec![[0; 2]; pixels].into_boxed_slice(),
-            labels: vec![0; pixels].into_boxed_slice(),
-            depth_m: vec![0.0; pixels].into_boxed_slice(),
+            buffer: DepthBuffer::new(spans * LANES),
+            hidden: vec![[0; 2]; spans * LANES].into_boxed_slice(),
+            labels: vec![0; spans * LANES].into_boxed_slice(),
+            depth_m: vec![0.0; spans * LANES].into_boxed_slice(),
             window: Window::new(),
             movers: Scene::default(),
             order: Vec::new(),
@@ -177,13 +176,13 @@ impl SimCamera {
     /// Labels of the last frame, `[height, width] u8`, see [`Label`].
     #[must_use]
     pub fn labels(&self) -> &[u8] {
-        &self.labels
+        &self.labels[..self.camera.width * self.camera.height]
     }
 
     /// Depth of the last frame in metres along the optical axis, `[height, width] f32`, infinite for the sky.
     #[must_use]
     pub fn depth_m(&self) -> &[f32] {
-        &self.depth_m
+        &self.depth_m[..self.camera.width * self.camera.height]
     }
 
     /// Pose of the last frame.
@@ -223,7 +222,7 @@ impl SimCamera {
         self.pose = world.world_from_camera(seconds, &self.camera.mount);
         let view = View::new(&self.pose);
         for (to, from) in self.world_rays.iter_mut().zip(&self.rays) {
-            *to = view.to_world(*from);
+            *to = view.to_world(from);
         }
         let ahead = view.axes[2];
         let flat = WINDOW_AHEAD_M / ahead[0].hypot(ahead[1]).max(0.2);
@@ -298,7 +297,8 @@ impl SimCamera {
             };
             for y in bounds.y[0]..bounds.y[1] {
                 for i in y * self.camera.width + bounds.x[0]..y * self.camera.width + bounds.x[1] {
-                    decal.darken(&view, self.world_rays[i], &mut self.hidden[i]);
+                    let ray = ray(&self.world_rays[i / LANES], i % LANES);
+                    decal.darken(&view, ray, &mut self.hidden[i]);
                 }
             }
         }
@@ -308,55 +308,92 @@ impl SimCamera {
     fn shade(&mut self, world: &World, seconds: f64) {
         let view = View::new(&self.pose);
         let style = &world.style;
-        let pixel_rad = 1.0 / self.camera.lens.focal_px() as f32;
-        let blur_m = world.ego(seconds).speed_mps as f32 * self.sensor.shutter_s;
+        let shutter = Shutter {
+            pixel_rad: 1.0 / self.camera.lens.focal_px() as f32,
+            blur_m: world.ego(seconds).speed_mps as f32 * self.sensor.shutter_s,
+        };
         let drift = 1.0 + self.sensor.exposure_drift * wave(self.sensor.seed ^ 77, seconds as f32 * 0.25);
         let step = match self.sensor.exposure_step {
             Some((from, factor)) if seconds >= from => factor,
             _ => 1.0,
         };
         let exposure = style.exposure * self.sensor.exposure * drift * step;
-        let to_tone = exposure * TONES as f32;
-        let mut last = 0;
-        let mut seen: Option<Seen<'_>> = None;
+        let eye = Eye {
+            world,
+            window: &self.window,
+            view: &view,
+        };
         let mut tones = Tones {
             table: &self.tones,
             gain: &self.gain,
-            scale: to_tone,
+            scale: exposure * TONES as f32,
             pixels: self.raw.pixels_mut(),
         };
-        for i in 0..self.rays.len() {
-            let ray = self.world_rays[i];
-            let limit = self.buffer.distance[i];
-            let ground = Meeting::new(world, &self.window, &view, ray, limit);
-            let (rgb, label, distance) = if let Some(meeting) = ground {
-                let (rgb, label) = meeting.shade(world, ray, pixel_rad, blur_m, self.hidden[i]);
-                (rgb, label, meeting.distance)
-            } else if self.buffer.part[i] > 0 {
-                let id = self.buffer.part[i];
-                let part = part_at(world, &self.movers, id - 1);
-                if id != last {
-                    seen = Some(Seen::new(part, view.origin));
-                    last = id;
+        let (mut last, mut part) = (0, None);
+        let (hidden, _) = self.hidden.as_chunks::<LANES>();
+        let (limits, _) = self.buffer.distance.as_chunks::<LANES>();
+        let (parts, _) = self.buffer.part.as_chunks::<LANES>();
+        let (labels_out, _) = self.labels.as_chunks_mut::<LANES>();
+        let (depths_out, _) = self.depth_m.as_chunks_mut::<LANES>();
+        for (span, rays) in self.world_rays.iter().enumerate() {
+            let (limits, hidden, parts) = (&limits[span], &hidden[span], &parts[span]);
+            let mut labels = [Label::Sky as u8; LANES];
+            let mut distance = *limits;
+            let mut rgb: Colours = [[0.0; LANES]; 3];
+            let mut met = [Met::Nothing; LANES];
+            if let Some(meetings) = eye.meet(rays, limits) {
+                met = meetings.met;
+                rgb = meetings.shade(world, rays, &shutter, hidden);
+                for i in 0..LANES {
+                    if met[i] != Met::Nothing {
+                        distance[i] = meetings.distance[i];
+                        let road = met[i] == Met::Road;
+                        labels[i] = if road { Label::Road } else { Label::NonDrivable } as u8;
+                    }
                 }
-                let rgb = match seen.and_then(|s| s.meet(ray, f32::MAX, &world.textures)) {
-                    Some(hit) => lit(part, &hit, style, &world.textures, pixel_rad),
-                    None => part.rgb,
-                };
-                (rgb, part.label, limit)
-            } else {
-                let (rgb, far) = world.sky.seen(ray, style, &world.textures);
-                tones.emit(i, rgb);
-                self.labels[i] = if far { Label::Far } else { Label::Sky } as u8;
-                self.depth_m[i] = f32::INFINITY;
-                continue;
-            };
-            let haze = distance / (distance + 1.4 * style.haze_m);
-            let veil = |k: usize| rgb[k] + haze * (0.8 * style.horizon_rgb[k] - rgb[k]);
-            let hazed = [veil(0), veil(1), veil(2)];
-            tones.emit(i, hazed);
-            self.labels[i] = label;
-            self.depth_m[i] = distance * self.rays[i][2];
+            }
+            let mut sky = [false; LANES];
+            for i in 0..LANES {
+                sky[i] = met[i] == Met::Nothing && parts[i] == 0;
+            }
+            for i in 0..LANES {
+                if met[i] != Met::Nothing || sky[i] {
+                    continue;
+                }
+                if parts[i] != last {
+                    last = parts[i];
+                    part = Some(Seen::new(part_at(world, &self.movers, last - 1), view.origin));
+                }
+                let Some(seen) = &part else { continue };
+                let leafy = seen.part.material == Material::Foliage;
+                if leafy && (0..LANES).all(|k| parts[k] == last) {
+                    let hits = std::array::from_fn(|k| seen.met(ray(rays, k), limits[k]));
+                    let leaves = lit_foliage(seen.part, &hits, style, &world.textures, shutter.pixel_rad);
+                    for k in (0..LANES).filter(|&k| met[k] == Met::Nothing) {
+                        put(&mut rgb, k, ray(&leaves, k));
+                        labels[k] = seen.part.label;
+                    }
+                    break;
+                }
+                let hit = seen.met(ray(rays, i), limits[i]);
+                let colour = lit(seen.part, &hit, style, &world.textures, shutter.pixel_rad);
+                put(&mut rgb, i, colour);
+                labels[i] = seen.part.label;
+            }
+            haze(&mut rgb, &distance, style);
+            if sky.contains(&true) {
+                let (colours, far) = world.sky.seen(rays, style, &world.textures);
+                for i in 0..LANES {
+                    if sky[i] {
+                        put(&mut rgb, i, ray(&colours, i));
+                        labels[i] = if far[i] { Label::Far } else { Label::Sky } as u8;
+                        distance[i] = f32::INFINITY;
+                    }
+                }
+            }
+            tones.emit(span, &rgb);
+            labels_out[span] = labels;
+            depths_out[span] = lanes(|i| distance[i] * self.rays[span][2][i]);
         }
     }
 
@@ -375,13 +412,18 @@ impl SimCamera {
             let column = &mut self.column;
             let start = hash(stamp, y as u32) as usize % (self.noise.len() - bytes);
             let noise = &self.noise[start..start + bytes];
-            for i in 0..bytes {
-                column[i] = side * (i16::from(above[i]) + i16::from(below[i])) + middle * i16::from(here[i]);
+            for (sum, ((a, h), b)) in column.iter_mut().zip(above.iter().zip(here).zip(below)) {
+                *sum = side * (i16::from(*a) + i16::from(*b)) + middle * i16::from(*h);
             }
             let target = out.row_mut(y);
-            for i in 3..bytes.saturating_sub(3) {
-                let tone = side * (column[i - 3] + column[i + 3]) + middle * column[i] + noise[i] + 32;
-                target[i] = (tone >> 6).clamp(0, 255) as u8;
+            // All but the outermost columns, which have no neighbours on one side.
+            let inner = bytes - 6;
+            let (left, middles) = (&column[..inner], &column[3..3 + inner]);
+            let (right, noisy) = (&column[6..6 + inner], &noise[3..3 + inner]);
+            let inside = target[3..3 + inner].iter_mut();
+            for ((to, (l, m)), (r, n)) in inside.zip(left.iter().zip(middles)).zip(right.iter().zip(noisy)) {
+                let tone = side * (l + r) + middle * m + n + 32;
+                *to = (tone >> 6).clamp(0, 255) as u8;
             }
             for i in (0..3).chain(bytes - 3..bytes) {
                 target[i] = ((8 * column[i] + noise[i] + 32) >> 6).clamp(0, 255) as u8;
@@ -392,7 +434,7 @@ impl SimCamera {
 
 /// Radiance to grey levels.
 struct Tones<'a> {
-    table: &'a [u8],
+    table: &'a [u8; TONES],
     gain: &'a [f32],
     scale: f32,
     pixels: &'a mut [u8],
@@ -400,11 +442,33 @@ struct Tones<'a> {
 
 impl Tones<'_> {
     #[inline]
-    fn emit(&mut self, i: usize, rgb: [f32; 3]) {
-        let scale = self.scale * self.gain[i];
-        for (k, channel) in rgb.iter().enumerate() {
-            self.pixels[3 * i + k] = self.table[((channel * scale) as usize).min(TONES - 1)];
+    fn emit(&mut self, span: usize, rgb: &Colours) {
+        let first = span * LANES;
+        let gain = &self.gain[first..first + LANES];
+        // Adding this rounds to a whole number in the low bits.
+        const WHOLE: f32 = 8_388_608.0;
+        let mut levels = [[0_u32; LANES]; 3];
+        for (levels, channel) in levels.iter_mut().zip(rgb) {
+            for i in 0..LANES {
+                let tone = channel[i] * self.scale * gain[i] - 0.5;
+                levels[i] = (tone.clamp(0.0, (TONES - 1) as f32) + WHOLE).to_bits();
+            }
         }
+        let end = (3 * (first + LANES)).min(self.pixels.len());
+        for (i, pixel) in self.pixels[3 * first..end].chunks_exact_mut(3).enumerate() {
+            for k in 0..3 {
+                pixel[k] = self.table[levels[k][i] as usize & (TONES - 1)];
+            }
+        }
+    }
+}
+
+/// Fades colours into the horizon's with distance.
+#[inline]
+fn haze(rgb: &mut Colours, distance: &Lanes, style: &Style) {
+    let haze = lanes(|i| distance[i] / (distance[i] + 1.4 * style.haze_m));
+    for (k, channel) in rgb.iter_mut().enumerate() {
+        *channel = lanes(|i| channel[i] + haze[i] * (0.8 * style.horizon_rgb[k] - channel[i]));
     }
 }
 
@@ -429,178 +493,5 @@ fn part_at<'a>(world: &'a World, movers: &'a Scene, index: u32) -> &'a Part {
         &world.scene.parts[index]
     } else {
         &movers.parts[index - fixed]
-    }
-}
-
-/// The dark patches of one object.
-fn decals(parts: &[Part], moves: bool, sun: [f32; 3], out: &mut Vec<Decal>) {
-    let Some(first) = parts.first() else { return };
-    let living = first.label == Label::Living as u8;
-    if !living && first.label != Label::Vehicle as u8 {
-        return;
-    }
-    let turn = [first.sin, first.cos];
-    let floor = parts.iter().map(|p| p.base[2]).fold(f32::MAX, f32::min);
-    let floor = if floor < 0.3 { floor } else { 0.0 };
-    let ground = [first.base[0], first.base[1], floor];
-    out.push(Decal {
-        base: ground,
-        turn,
-        half: first.half,
-        soft: if living { 0.15 } else { 0.3 },
-        hides: [0.75, 0.9],
-    });
-    if moves {
-        let away = 0.55 / sun[2];
-        let base = [ground[0] - sun[0] * away, ground[1] - sun[1] * away, floor];
-        out.push(Decal {
-            base,
-            turn,
-            half: first.half,
-            soft: 0.2,
-            hides: [0.0, 1.0],
-        });
-    }
-}
-
-impl Decal {
-    #[inline]
-    fn darken(&self, view: &View, ray: [f32; 3], hidden: &mut [u8; 2]) {
-        if ray[2] > -1e-4 {
-            return;
-        }
-        let distance = (self.base[2] - view.origin[2]) / ray[2];
-        let dx = view.origin[0] + distance * ray[0] - self.base[0];
-        let dy = view.origin[1] + distance * ray[1] - self.base[1];
-        let [sin, cos] = self.turn;
-        let along = (dx * cos + dy * sin).abs();
-        let aside = (dy * cos - dx * sin).abs();
-        let inside = |at: f32, half: f32| ((half + self.soft - at) / (2.0 * self.soft)).clamp(0.0, 1.0);
-        let share = inside(along, self.half[0]) * inside(aside, self.half[1]);
-        for (h, hides) in hidden.iter_mut().zip(self.hides) {
-            *h = (*h).max((255.0 * share * hides) as u8);
-        }
-    }
-}
-
-/// Where a ray meets the ground.
-#[derive(Clone, Copy, Debug)]
-struct Meeting {
-    distance: f32,
-    /// Road coordinates; none beyond the window.
-    place: Option<([f32; 2], [f32; 2])>,
-    /// Signed distance outside the kerb.
-    edge: f32,
-    /// Whether the kerb's face is met.
-    face: bool,
-}
-
-impl Meeting {
-    #[inline]
-    fn new(world: &World, window: &Window, view: &View, ray: [f32; 3], limit: f32) -> Option<Self> {
-        if ray[2] > -1e-4 {
-            return None;
-        }
-        let kerb = world.style.kerb_m;
-        let raised = (view.origin[2] - kerb) / -ray[2];
-        if raised >= limit {
-            return None;
-        }
-        let at = |distance: f32| {
-            window.at(
-                view.origin[0] + distance * ray[0],
-                view.origin[1] + distance * ray[1],
-            )
-        };
-        let Some(upper) = at(raised) else {
-            return Some(Self {
-                distance: raised,
-                place: None,
-                edge: 10.0,
-                face: false,
-            });
-        };
-        let upper_edge = world.road.edge(upper.0[0], upper.0[1]);
-        if upper_edge > 0.0 {
-            return Some(Self {
-                distance: raised,
-                place: Some(upper),
-                edge: upper_edge,
-                face: false,
-            });
-        }
-        let flat = view.origin[2] / -ray[2];
-        let Some(lower) = at(flat) else {
-            return Some(Self {
-                distance: raised,
-                place: None,
-                edge: 10.0,
-                face: false,
-            });
-        };
-        let lower_edge = world.road.edge(lower.0[0], lower.0[1]);
-        if lower_edge <= 0.0 {
-            return (flat < limit).then_some(Self {
-                distance: flat,
-                place: Some(lower),
-                edge: lower_edge,
-                face: false,
-            });
-        }
-        // Between the planes the ray crosses the kerb's face, about where its edge distance passes zero.
-        let f = upper_edge / (upper_edge - lower_edge);
-        let distance = raised + f * (flat - raised);
-        (distance < limit).then_some(Self {
-            distance,
-            place: Some(lower),
-            edge: 0.0,
-            face: true,
-        })
-    }
-
-    #[inline]
-    fn shade(
-        &self,
-        world: &World,
-        ray: [f32; 3],
-        pixel_rad: f32,
-        blur_m: f32,
-        hidden: [u8; 2],
-    ) -> ([f32; 3], u8) {
-        let style = &world.style;
-        let label = if self.edge < 0.0 || (self.edge == 0.0 && !self.face) {
-            Label::Road
-        } else {
-            Label::NonDrivable
-        };
-        let Some(([s, d], [sx, sy])) = self.place else {
-            let light = style.sky_light_rgb[1] + 0.6 * style.sun_rgb[1];
-            return (style.beyond_rgb.map(|c| c * light), label as u8);
-        };
-        let across = self.distance * pixel_rad;
-        let along = across / (-ray[2]).max(0.01);
-        let flat = 1.0 / (ray[0] * ray[0] + ray[1] * ray[1]).sqrt().max(1e-6);
-        let ahead = ((ray[0] * sx + ray[1] * sy) * flat).abs().min(1.0);
-        let aside = ((ray[0] * sy - ray[1] * sx) * flat).abs().min(1.0);
-        let foot = Footprint {
-            along_m: ahead * along + aside * across + blur_m,
-            across_m: aside * along + ahead * across,
-        };
-        let rgb = if self.face {
-            style.kerb_rgb.map(|c| 0.6 * c)
-        } else if label == Label::Road {
-            world.ground.road(style, &world.textures, s, d, self.edge, foot)
-        } else {
-            world.ground.verge(style, &world.textures, s, d, self.edge, foot)
-        };
-        let open = 1.0 - f32::from(hidden[0]) * (1.0 / 255.0);
-        let mut sun = 0.0;
-        if style.sun_rgb[1] > 0.0 {
-            sun = world.shadow.sunlight(&world.textures, s, d, foot)
-                * (1.0 - f32::from(hidden[1]) * (1.0 / 255.0));
-            sun *= style.sun[2];
-        }
-        let lit = |k: usize| rgb[k] * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k]);
-        ([lit(0), lit(1), lit(2)], label as u8)
     }
 }

@@ -8,6 +8,7 @@
     reason = "table indices are bounded by the table"
 )]
 
+use super::lanes::{Colours, LANES, Lanes, lanes, range};
 use super::noise::{floor, hash, smoothstep, unit, wave};
 use super::shape::{Hit, Material, Part};
 use super::style::Style;
@@ -37,43 +38,81 @@ impl Sky {
         Self { skyline }
     }
 
-    /// Radiance along a unit ray, and whether the far tree line is seen there.
-    pub(super) fn seen(&self, ray: [f32; 3], style: &Style, textures: &Textures) -> ([f32; 3], bool) {
-        let slope = ray[2] / (ray[0] * ray[0] + ray[1] * ray[1]).sqrt().max(1e-3);
-        if slope < 1.6 * style.skyline {
-            let turn = ray[1].atan2(ray[0]) / std::f32::consts::TAU + 0.5;
-            let place = turn * SKYLINE_BINS as f32;
+    /// Radiance along a span of unit rays, and where the far tree line is seen.
+    pub(super) fn seen(
+        &self,
+        rays: &[Lanes; 3],
+        style: &Style,
+        textures: &Textures,
+    ) -> (Colours, [bool; LANES]) {
+        let mut rgb = clouds(rays, style, textures);
+        let mut far = [false; LANES];
+        let slope = lanes(|i| {
+            rays[2][i]
+                / (rays[0][i] * rays[0][i] + rays[1][i] * rays[1][i])
+                    .sqrt()
+                    .max(1e-3)
+        });
+        if range(&slope).0 >= 1.6 * style.skyline {
+            return (rgb, far);
+        }
+        let turn_of = |i: usize| rays[1][i].atan2(rays[0][i]) / std::f32::consts::TAU + 0.5;
+        let (from, to) = (turn_of(0), turn_of(LANES - 1));
+        // The short way round.
+        let step = (to - from - (to - from).round()) / (LANES - 1) as f32;
+        let turn = lanes(|i| {
+            let turn = from + i as f32 * step;
+            turn - turn.floor()
+        });
+        for i in 0..LANES {
+            let place = turn[i] * SKYLINE_BINS as f32;
             let bin = (place as usize).min(SKYLINE_BINS - 1);
             let f = place - bin as f32;
-            if slope < self.skyline[bin] + f * (self.skyline[bin + 1] - self.skyline[bin]) {
-                let leaves = textures.leaves.sample(turn * 6000.0, slope * 1300.0, 0, 0);
-                let haze = 0.2 + 0.6 * 300.0 / (300.0 + style.haze_m);
-                let light = 0.7 + 0.45 * leaves;
-                return (
-                    [0, 1, 2].map(|k| {
-                        let lit =
-                            style.leaf_rgb[k] * light * (style.sky_light_rgb[k] + 0.3 * style.sun_rgb[k]);
-                        lit + haze * (0.5 * style.horizon_rgb[k] - lit)
-                    }),
-                    true,
-                );
+            far[i] = slope[i] < self.skyline[bin] + f * (self.skyline[bin + 1] - self.skyline[bin]);
+        }
+        if !far.contains(&true) {
+            return (rgb, far);
+        }
+        let leaves = textures
+            .leaves
+            .span(&lanes(|i| turn[i] * 6000.0), &lanes(|i| slope[i] * 1300.0), 0, 0);
+        let haze = 0.2 + 0.6 * 300.0 / (300.0 + style.haze_m);
+        for (k, channel) in rgb.iter_mut().enumerate() {
+            let lit = style.leaf_rgb[k] * (style.sky_light_rgb[k] + 0.3 * style.sun_rgb[k]);
+            for i in 0..LANES {
+                let lit = lit * (0.7 + 0.45 * leaves[i]);
+                if far[i] {
+                    channel[i] = lit + haze * (0.5 * style.horizon_rgb[k] - lit);
+                }
             }
         }
-        let height = ray[2].max(0.0);
-        let blue = (height * 2.2).min(1.0).sqrt();
-        let reach = 1.0 / (height + 0.06);
-        let l = level(0.5 * reach * reach);
-        let cloud = textures
-            .stains
-            .sample(ray[0] * reach * 42.0, ray[1] * reach * 42.0, l, l);
-        let cover = smoothstep(0.65 - 1.3 * style.clouds, 1.0 - 1.1 * style.clouds, cloud + 0.12);
-        let white = 0.9 + 0.35 * cloud + 0.15 * style.sun_rgb[1];
-        let sky = [0, 1, 2].map(|k| {
-            let clear = style.horizon_rgb[k] + blue * (style.zenith_rgb[k] - style.horizon_rgb[k]);
-            clear + cover * (white * style.sky_light_rgb[k] * 1.25 - clear)
-        });
-        (sky, false)
+        (rgb, far)
     }
+}
+
+/// Radiance of the sky, clouds and all.
+fn clouds(rays: &[Lanes; 3], style: &Style, textures: &Textures) -> Colours {
+    let height = lanes(|i| rays[2][i].max(0.0));
+    let blue = lanes(|i| (height[i] * 2.2).min(1.0).sqrt());
+    let reach = lanes(|i| 1.0 / (height[i] + 0.06));
+    let middle = reach[LANES / 2];
+    let l = level(0.5 * middle * middle);
+    let cloud = textures.stains.span(
+        &lanes(|i| rays[0][i] * reach[i] * 42.0),
+        &lanes(|i| rays[1][i] * reach[i] * 42.0),
+        l,
+        l,
+    );
+    let (low, high) = (0.65 - 1.3 * style.clouds, 1.0 - 1.1 * style.clouds);
+    let cover = lanes(|i| smoothstep(low, high, cloud[i] + 0.12));
+    let channel = |k: usize| {
+        lanes(|i| {
+            let white = 0.9 + 0.35 * cloud[i] + 0.15 * style.sun_rgb[1];
+            let clear = style.horizon_rgb[k] + blue[i] * (style.zenith_rgb[k] - style.horizon_rgb[k]);
+            clear + cover[i] * (white * style.sky_light_rgb[k] * 1.25 - clear)
+        })
+    };
+    [channel(0), channel(1), channel(2)]
 }
 
 /// Radiance of a part where a ray meets it.
@@ -84,13 +123,54 @@ pub(super) fn lit(part: &Part, hit: &Hit, style: &Style, textures: &Textures, pi
     let [nx, ny, nz] = hit.normal;
     let world = [nx * part.cos - ny * part.sin, nx * part.sin + ny * part.cos, nz];
     let sun = (world[0] * style.sun[0] + world[1] * style.sun[1] + world[2] * style.sun[2]).max(0.0);
-    // Less sky is seen from low down and by surfaces that face the ground.
-    let open = (0.62 + 0.38 * nz) * (0.6 + 0.4 * (hit.point[2] + part.base[2]).clamp(0.0, 1.0));
+    let open = openness(nz, hit.point[2] + part.base[2]);
     for (k, c) in rgb.iter_mut().enumerate() {
         let sky = 0.5 * style.horizon_rgb[k] * (0.4 + 0.6 * nz.max(0.0));
         *c = *c * (open * style.sky_light_rgb[k] + sun * style.sun_rgb[k]) + gloss * sky;
     }
     rgb
+}
+
+/// Radiance of a span of foliage, all of one part.
+pub(super) fn lit_foliage(
+    part: &Part,
+    hits: &[Hit; LANES],
+    style: &Style,
+    textures: &Textures,
+    pixel_rad: f32,
+) -> Colours {
+    let foot_m = hits[LANES / 2].distance * pixel_rad;
+    let (mut u, mut v) = ([0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        (u[i], v[i]) = part.foliage_texel(hits[i].point, hits[i].normal);
+    }
+    let (l, m) = (level(foot_m * 110.0), level(foot_m * 22.0));
+    let fine = textures.leaves.span(&u, &v, l, l);
+    let coarse = textures
+        .leaves
+        .span(&lanes(|i| 0.2 * u[i]), &lanes(|i| 0.2 * v[i]), m, m);
+    let height = 1.0 / part.height;
+    let tone = lanes(|i| {
+        let under = 0.5 + 0.5 * (hits[i].point[2] * height).clamp(0.0, 1.0);
+        ((0.85 + 0.85 * fine[i] + 0.6 * coarse[i]) * under).max(0.08)
+    });
+    let ahead = style.sun[0] * part.cos + style.sun[1] * part.sin;
+    let aside = style.sun[1] * part.cos - style.sun[0] * part.sin;
+    let sun = lanes(|i| {
+        let n = hits[i].normal;
+        (n[0] * ahead + n[1] * aside + n[2] * style.sun[2]).max(0.0)
+    });
+    let open = lanes(|i| openness(hits[i].normal[2], hits[i].point[2] + part.base[2]));
+    let channel = |k: usize| {
+        lanes(|i| part.rgb[k] * tone[i] * (open[i] * style.sky_light_rgb[k] + sun[i] * style.sun_rgb[k]))
+    };
+    [channel(0), channel(1), channel(2)]
+}
+
+/// Share of the sky's light: less is seen from low down and by surfaces that face the ground.
+#[inline]
+fn openness(up: f32, height: f32) -> f32 {
+    (0.62 + 0.38 * up) * (0.6 + 0.4 * height.clamp(0.0, 1.0))
 }
 
 fn reflectance(part: &Part, hit: &Hit, textures: &Textures, foot_m: f32, gloss: &mut f32) -> [f32; 3] {

@@ -7,9 +7,12 @@
 
 mod build;
 mod camera;
+mod decal;
 mod drive;
 mod ground;
+mod lanes;
 mod light;
+mod meeting;
 mod noise;
 mod raster;
 mod road;

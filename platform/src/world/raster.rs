@@ -14,6 +14,7 @@ use freespace::frame::Lens;
 use freespace::space::Pose;
 use nalgebra::Vector3;
 
+use super::lanes::{LANES, Lanes, lanes};
 use super::shape::{Part, Seen, Shape};
 use super::texture::Textures;
 
@@ -43,9 +44,10 @@ impl View {
         self.axes.map(|a| a[0] * d[0] + a[1] * d[1] + a[2] * d[2])
     }
 
-    pub(super) fn to_world(self, ray: [f32; 3]) -> [f32; 3] {
+    #[inline]
+    pub(super) fn to_world(self, rays: &[Lanes; 3]) -> [Lanes; 3] {
         let [a, b, c] = &self.axes;
-        let along = |i: usize| a[i] * ray[0] + b[i] * ray[1] + c[i] * ray[2];
+        let along = |k: usize| lanes(|i| a[k] * rays[0][i] + b[k] * rays[1][i] + c[k] * rays[2][i]);
         [along(0), along(1), along(2)]
     }
 }
@@ -202,7 +204,7 @@ impl DepthBuffer {
         id: u32,
         frame: &Frame,
         view: &View,
-        rays: &[[f32; 3]],
+        rays: &[[Lanes; 3]],
         textures: &Textures,
     ) {
         let half = part.half_extent();
@@ -211,16 +213,25 @@ impl DepthBuffer {
         };
         let nearest = nearest_m(part, view.origin);
         let seen = Seen::new(part, view.origin);
+        let (distances, _) = self.distance.as_chunks_mut::<LANES>();
+        let (parts, _) = self.part.as_chunks_mut::<LANES>();
         for y in bounds.y[0]..bounds.y[1] {
             let row = y * frame.width;
-            for i in row + bounds.x[0]..row + bounds.x[1] {
-                let limit = self.distance[i];
-                if limit <= nearest {
+            // Whole spans: the pixels around are met or not as well as those in the bounds.
+            let spans = (row + bounds.x[0]) / LANES..(row + bounds.x[1]).div_ceil(LANES);
+            for ((limits, ids), rays) in distances[spans.clone()]
+                .iter_mut()
+                .zip(&mut parts[spans.clone()])
+                .zip(&rays[spans])
+            {
+                if limits.iter().all(|&limit| limit <= nearest) {
                     continue;
                 }
-                if let Some(distance) = seen.distance(rays[i], limit, textures) {
-                    self.distance[i] = distance;
-                    self.part[i] = id;
+                let met = seen.distances(rays, limits, textures);
+                for i in 0..LANES {
+                    let nearer = met[i] < limits[i];
+                    limits[i] = if nearer { met[i] } else { limits[i] };
+                    ids[i] = if nearer { id } else { ids[i] };
                 }
             }
         }

@@ -3,7 +3,7 @@
 //! Road coordinates: `s` metres along the centre line (0 where the drive starts), `d` metres to its left. The heading is
 //! a smooth bounded function of `s`, so the curvature is continuous, as in a chain of clothoids, and the road never
 //! meets itself. In: seed and style. Out: positions, `(s, d)` of any point, signed distance to the kerb.
-//! Invariant: the first pose of the drive is the identity. Cost: a nearest point is [`NEWTON_STEPS`] steps.
+//! Invariant: the first pose of the drive is the identity. Cost: a nearest point is at most [`NEWTON_STEPS`] steps.
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -21,6 +21,8 @@ pub(super) const BEHIND_M: f64 = 80.0;
 /// Road beyond the end of the drive: what a camera there still sees.
 pub(super) const BEYOND_M: f64 = 260.0;
 const NEWTON_STEPS: usize = 8;
+/// A nearest point that moves less than this is found: the next step would move it far less.
+const SETTLED_M: f64 = 1e-5;
 /// Side streets end this far from the kerb line.
 const SIDE_STREET_M: f32 = 42.0;
 /// Radius of the kerb at a side street's corner.
@@ -31,6 +33,8 @@ struct Sample {
     x: f64,
     y: f64,
     heading: f64,
+    /// Unit vector along the road.
+    along: [f64; 2],
 }
 
 /// The cross-section at one sample, left side first.
@@ -99,7 +103,7 @@ impl Road {
             } else {
                 (b, (f - 1.0) * STEP_M)
             };
-            let (sin, cos) = from.heading.sin_cos();
+            let [cos, sin] = from.along;
             return (from.x + run * cos, from.y + run * sin, from.heading);
         }
         let heading = a.heading + f * (b.heading - a.heading);
@@ -107,8 +111,7 @@ impl Road {
         let (f2, f3) = (f * f, f * f * f);
         let (h00, h10) = (2.0 * f3 - 3.0 * f2 + 1.0, (f3 - 2.0 * f2 + f) * STEP_M);
         let (h01, h11) = (3.0 * f2 - 2.0 * f3, (f3 - f2) * STEP_M);
-        let (sa, ca) = a.heading.sin_cos();
-        let (sb, cb) = b.heading.sin_cos();
+        let ([ca, sa], [cb, sb]) = (a.along, b.along);
         (
             h00 * a.x + h10 * ca + h01 * b.x + h11 * cb,
             h00 * a.y + h10 * sa + h01 * b.y + h11 * sb,
@@ -125,7 +128,14 @@ impl Road {
 
     /// Curvature of the centre line, positive to the left.
     pub(super) fn curvature(&self, s: f64) -> f64 {
-        (self.at(s + 0.5).2 - self.at(s - 0.5).2) / 1.0
+        let heading = |s: f64| {
+            let last = self.samples.len() - 1;
+            let place = ((s + BEHIND_M) / STEP_M).clamp(0.0, last as f64);
+            let i = (place as usize).min(last - 1);
+            let (a, b) = (self.samples[i].heading, self.samples[i + 1].heading);
+            a + (place - i as f64) * (b - a)
+        };
+        (heading(s + 0.5) - heading(s - 0.5)) / 1.0
     }
 
     /// Road coordinates of a world point.
@@ -139,7 +149,11 @@ impl Road {
             let along = dx * cos + dy * sin;
             let left = dy * cos - dx * sin;
             let slope = (1.0 - self.curvature(s) * left).clamp(0.5, 2.0);
-            s += (along / slope).clamp(-40.0, 40.0);
+            let step = (along / slope).clamp(-40.0, 40.0);
+            s += step;
+            if step.abs() < SETTLED_M {
+                break;
+            }
         }
         let (px, py, heading) = self.at(s);
         let (sin, cos) = heading.sin_cos();
@@ -151,7 +165,7 @@ impl Road {
     fn section(&self, s: f32, side: usize) -> (f32, f32) {
         let place =
             ((s + BEHIND_M as f32) * (1.0 / STEP_M as f32)).clamp(0.0, (self.sections.len() - 2) as f32);
-        let i = place as usize;
+        let i = place as i32 as usize;
         let f = place - i as f32;
         let (a, b) = (&self.sections[i], &self.sections[i + 1]);
         (
@@ -204,6 +218,7 @@ fn centre_line(seed: u32, count: usize, style: &Style) -> Vec<Sample> {
             x,
             y,
             heading: heading(s),
+            along: [0.0; 2],
         });
         for k in 0..SUBSTEPS {
             let step = STEP_M / SUBSTEPS as f64;
@@ -220,6 +235,8 @@ fn centre_line(seed: u32, count: usize, style: &Style) -> Vec<Sample> {
         sample.x = cos * dx + sin * dy;
         sample.y = cos * dy - sin * dx - f64::from(style.ego_d);
         sample.heading -= start.heading;
+        let (sin, cos) = sample.heading.sin_cos();
+        sample.along = [cos, sin];
     }
     samples
 }

@@ -3,6 +3,7 @@
 //! A [`Part`] stands upright and is turned about the vertical only. In: a ray in world space. Out: the distance to the
 //! part and the place where it is met, in the part's own axes (x ahead, y left, z up from its base). Cost: six divisions.
 
+use super::lanes::{LANES, Lanes, lanes};
 use super::texture::{Textures, level};
 
 /// Geometry of a part, in its own axes.
@@ -17,6 +18,9 @@ pub(super) enum Shape {
     /// A cylinder of radius `half[0]` lying across, `2 half[1]` wide.
     Wheel,
 }
+
+/// Crowns less deep than this may let the view through between their leaves.
+const THIN: f32 = 0.7;
 
 /// What a part's surface looks like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,7 +69,7 @@ pub(super) struct Hit {
 /// A part seen from one place: all that does not depend on the ray.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen<'a> {
-    part: &'a Part,
+    pub(super) part: &'a Part,
     /// The eye in the part's axes.
     eye: [f32; 3],
     /// Planes of a frustum and the eye's height over each: first those that face the eye.
@@ -164,37 +168,25 @@ impl<'a> Seen<'a> {
         }
     }
 
-    /// Where the unit `ray` meets the part before `limit`.
+    /// Where the unit `ray` meets the part, which [`Self::distance`] has found at `distance`.
     #[inline]
-    pub(super) fn meet(&self, ray: [f32; 3], limit: f32, textures: &Textures) -> Option<Hit> {
+    pub(super) fn met(&self, ray: [f32; 3], distance: f32) -> Hit {
         let r = self.turned(ray);
-        match self.part.shape {
+        let normal = match self.part.shape {
             Shape::Frustum => {
-                let (distance, face) = self.frustum(r, limit)?;
-                let n = self.planes[face].0;
+                let n = self.planes[self.frustum(r, f32::MAX).map_or(0, |(_, face)| face)].0;
                 let scale = 1.0 / dot(n, n).sqrt();
-                Some(Hit {
-                    distance,
-                    point: along(self.eye, r, distance),
-                    normal: n.map(|c| c * scale),
-                })
+                [n[0] * scale, n[1] * scale, n[2] * scale]
             }
-            Shape::Ellipsoid => {
-                let distance = self.ellipsoid(r, limit, textures)?;
-                Some(Hit {
-                    distance,
-                    point: along(self.eye, r, distance),
-                    normal: self.ellipsoid_normal(r, distance),
-                })
-            }
-            Shape::Post | Shape::Wheel => {
-                let (distance, normal) = self.cylinder(r, limit)?;
-                Some(Hit {
-                    distance,
-                    point: along(self.eye, r, distance),
-                    normal,
-                })
-            }
+            Shape::Ellipsoid => self.ellipsoid_normal(r, distance),
+            Shape::Post | Shape::Wheel => self
+                .cylinder(r, f32::MAX)
+                .map_or([0.0, 0.0, 1.0], |(_, normal)| normal),
+        };
+        Hit {
+            distance,
+            point: along(self.eye, r, distance),
+            normal,
         }
     }
 
@@ -228,7 +220,7 @@ impl<'a> Seen<'a> {
         let p = along(self.unit_eye, [r[0] * i[0], r[1] * i[1], r[2] * i[2]], distance);
         let n = [p[0] * i[0], p[1] * i[1], p[2] * i[2]];
         let scale = 1.0 / dot(n, n).sqrt().max(1e-9);
-        n.map(|c| c * scale)
+        [n[0] * scale, n[1] * scale, n[2] * scale]
     }
 
     #[inline]
@@ -244,20 +236,99 @@ impl<'a> Seen<'a> {
         if distance >= limit {
             return None;
         }
-        // Depth of the ray in a crown, 0 at the silhouette: thin foliage lets the view through between leaves.
-        if self.part.material == Material::Foliage && under < 0.7 * a {
-            let depth = under / a;
-            let (fine, coarse) = (level(distance * 0.06), level(distance * 0.012));
-            let (u, v) = self
-                .part
-                .foliage_texel(along(self.eye, r, distance), self.ellipsoid_normal(r, distance));
-            let leaves = textures.leaves.sample(u, v, fine, fine);
-            let clumps = textures.leaves.sample(0.2 * u, 0.2 * v, coarse, coarse);
-            if 0.35 * leaves + 0.5 * clumps + 0.3 > depth * 1.7 {
-                return None;
+        let through = under < THIN * a && self.lets_through(r, distance, under / a, textures);
+        (!through).then_some(distance)
+    }
+
+    /// Whether the view passes between the leaves of a crown, where the ray goes `depth` deep, 0 at the silhouette.
+    fn lets_through(&self, r: [f32; 3], distance: f32, depth: f32, textures: &Textures) -> bool {
+        if self.part.material != Material::Foliage {
+            return false;
+        }
+        let (u, v) = self
+            .part
+            .foliage_texel(along(self.eye, r, distance), self.ellipsoid_normal(r, distance));
+        let coarse = level(distance * 0.012);
+        let clumps = textures.leaves.sample(0.2 * u, 0.2 * v, coarse, coarse);
+        let left = depth * 1.7 - 0.3 - 0.5 * clumps;
+        // Leaves decide only where clumps leave it open.
+        if left.abs() > 0.36 {
+            return left < 0.0;
+        }
+        let fine = level(distance * 0.06);
+        0.35 * textures.leaves.sample(u, v, fine, fine) > left
+    }
+
+    /// Distances along a span of unit rays at which the part is met before the limits; infinite where it is not.
+    #[inline]
+    pub(super) fn distances(&self, rays: &[Lanes; 3], limits: &Lanes, textures: &Textures) -> Lanes {
+        let part = self.part;
+        let r = [
+            lanes(|i| rays[0][i] * part.cos + rays[1][i] * part.sin),
+            lanes(|i| rays[1][i] * part.cos - rays[0][i] * part.sin),
+            rays[2],
+        ];
+        match part.shape {
+            Shape::Frustum => self.frustum_span(&r, limits),
+            Shape::Ellipsoid => self.ellipsoid_span(&r, limits, textures),
+            Shape::Post | Shape::Wheel => lanes(|i| {
+                self.cylinder([r[0][i], r[1][i], r[2][i]], limits[i])
+                    .map_or(f32::INFINITY, |(distance, _)| distance)
+            }),
+        }
+    }
+
+    #[inline]
+    fn frustum_span(&self, r: &[Lanes; 3], limits: &Lanes) -> Lanes {
+        let (facing, rest) = self.planes.split_at(self.facing);
+        let mut near = [0.0_f32; LANES];
+        for (n, height) in facing {
+            near = lanes(|i| {
+                let speed = n[0] * r[0][i] + n[1] * r[1][i] + n[2] * r[2][i];
+                let at = -height / speed;
+                near[i].max(if speed > -1e-9 { f32::INFINITY } else { at })
+            });
+        }
+        let mut outside = [f32::MIN; LANES];
+        for (n, height) in rest {
+            outside = lanes(|i| {
+                let speed = n[0] * r[0][i] + n[1] * r[1][i] + n[2] * r[2][i];
+                outside[i].max(height + near[i] * speed)
+            });
+        }
+        lanes(|i| {
+            let met = (near[i] > 1e-3) & (near[i] < limits[i]) & (outside[i] <= 0.0);
+            if met { near[i] } else { f32::INFINITY }
+        })
+    }
+
+    #[inline]
+    fn ellipsoid_span(&self, r: &[Lanes; 3], limits: &Lanes, textures: &Textures) -> Lanes {
+        let (p, inverse) = (self.unit_eye, self.inverse);
+        let c = dot(p, p) - 1.0;
+        if c < 0.0 {
+            return [f32::INFINITY; LANES];
+        }
+        let q = [0, 1, 2].map(|k: usize| lanes(|i| r[k][i] * inverse[k]));
+        let a = lanes(|i| q[0][i] * q[0][i] + q[1][i] * q[1][i] + q[2][i] * q[2][i]);
+        let b = lanes(|i| p[0] * q[0][i] + p[1] * q[1][i] + p[2] * q[2][i]);
+        let under = lanes(|i| b[i] * b[i] - a[i] * c);
+        let mut distance = lanes(|i| {
+            let at = (-b[i] - under[i].max(0.0).sqrt()) / a[i];
+            let met = (under[i] > 0.0) & (b[i] <= 0.0) & (at < limits[i]);
+            if met { at } else { f32::INFINITY }
+        });
+        if self.part.material == Material::Foliage {
+            for i in 0..LANES {
+                if distance[i] < f32::INFINITY && under[i] < THIN * a[i] {
+                    let ray = [r[0][i], r[1][i], r[2][i]];
+                    if self.lets_through(ray, distance[i], under[i] / a[i], textures) {
+                        distance[i] = f32::INFINITY;
+                    }
+                }
             }
         }
-        Some(distance)
+        distance
     }
 
     /// A post about z or a wheel about y: distance and normal.
@@ -302,7 +373,7 @@ impl Part {
     /// Texel of a point on foliage, projected along the axis its surface faces most; leaves hide the seams.
     pub(super) fn foliage_texel(&self, point: [f32; 3], normal: [f32; 3]) -> (f32, f32) {
         let [x, y, z] = point;
-        let [nx, ny, nz] = normal.map(f32::abs);
+        let [nx, ny, nz] = [normal[0].abs(), normal[1].abs(), normal[2].abs()];
         let (u, v) = if nz > nx && nz > ny {
             (x, y)
         } else if nx > ny {

@@ -1,7 +1,7 @@
 //! What is true of a world: labels, and which cells of a grid are free, taken or out of sight.
 //!
 //! In: a world, a camera, a time. Out: labels as written by [`super::SimCamera`], and grids in vehicle space. A cell is
-//! judged at its centre. Cost: one ray for every cell and near part.
+//! judged at its centre. Cost: one ray for every cell and part near that ray.
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -13,6 +13,7 @@ use freespace::frame::Camera;
 use nalgebra::Point3;
 
 use super::World;
+use super::scene::Object;
 use super::scene::{NEAR_M, Scene};
 use super::shape::{Part, Seen, Shape};
 
@@ -104,10 +105,13 @@ impl World {
             .iter()
             .map(|o| (o, &self.scene.parts));
         let reach = (spec.ahead_m.hypot(spec.side_m) + 5.0) as f32;
-        let near: Vec<&[Part]> = still
+        let near: Vec<(&Object, Vec<Seen<'_>>)> = still
             .chain(movers.objects.iter().map(|o| (o, &movers.parts)))
             .filter(|(o, _)| (o.centre[0] - origin[0]).hypot(o.centre[1] - origin[1]) - o.radius < reach)
-            .map(|(o, parts)| &parts[o.first..o.first + o.count])
+            .map(|(o, parts)| {
+                let own = &parts[o.first..o.first + o.count];
+                (o, own.iter().map(|part| Seen::new(part, origin)).collect())
+            })
             .collect();
         let mut grid = vec![-1; spec.rows() * spec.columns()];
         for row in 0..spec.rows() {
@@ -131,14 +135,16 @@ impl World {
                 let ray = toward.map(|c| c / far);
                 let mut taken = !on_road;
                 let mut seen = !on_road || !self.kerb_hides(origin, ray);
-                for object in &near {
-                    if object.iter().any(|part| stands_on(part, target)) {
+                for (object, parts) in &near {
+                    if !beside(object, origin, target) {
+                        continue;
+                    }
+                    if parts.iter().any(|seen| stands_on(seen.part, target)) {
                         taken = true;
-                    } else if object.iter().any(|part| {
-                        Seen::new(part, origin)
-                            .distance(ray, far - 0.01, &self.textures)
-                            .is_some()
-                    }) {
+                    } else if parts
+                        .iter()
+                        .any(|seen| seen.distance(ray, far - 0.01, &self.textures).is_some())
+                    {
                         seen = false;
                         break;
                     }
@@ -171,6 +177,17 @@ fn sees(camera: &Camera, point: &Point3<f64>) -> bool {
             .lens
             .project(&point.coords)
             .is_some_and(|p| (-0.5..width - 0.5).contains(&p.x) && (-0.5..height - 0.5).contains(&p.y))
+}
+
+/// Whether the line from the eye to a place comes near an object, seen from above.
+fn beside(object: &Object, eye: [f32; 3], place: [f32; 3]) -> bool {
+    let run = [place[0] - eye[0], place[1] - eye[1]];
+    let to = [object.centre[0] - eye[0], object.centre[1] - eye[1]];
+    let share = (to[0] * run[0] + to[1] * run[1]) / (run[0] * run[0] + run[1] * run[1]).max(1e-6);
+    let share = share.clamp(0.0, 1.0);
+    let off = [to[0] - share * run[0], to[1] - share * run[1]];
+    let reach = object.radius + 0.1;
+    off[0] * off[0] + off[1] * off[1] < reach * reach
 }
 
 /// Whether a part stands over a point of the ground.
