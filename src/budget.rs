@@ -83,3 +83,6 @@ pub const BUNDLE_REFINEMENTS: usize = 10;
 pub const CUT_QUANTA: usize = 400;
 /// Steps of a quantum: about half a millisecond.
 pub const CUT_QUANTUM_STEPS: u32 = 20_000;
+
+/// A patch of road that begins nearer than this and is cut off from the car's own is no road the car can reach.
+pub const ISLAND_RANGE_M: f64 = 12.0;

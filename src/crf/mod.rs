@@ -7,8 +7,10 @@
 
 mod cut;
 mod energy;
+mod islands;
 mod stage;
 
 pub use cut::{CutState, GridCut, GridProblem, Halved, halve};
 pub use energy::{Ablation, Capacities, CrfConfig, CrfInputs, Energy, TermForm, UNIT};
+pub use islands::Islands;
 pub use stage::CrfStage;

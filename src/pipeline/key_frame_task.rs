@@ -4,8 +4,10 @@ use alloc::boxed::Box;
 use alloc::vec;
 
 use super::{KeyFrameJob, PipelineConfig, Stage, StageTimes};
-use crate::budget::{BUNDLE_REFINEMENTS, CUT_QUANTA, CUT_QUANTUM_STEPS};
-use crate::crf::{Ablation, CrfInputs, CrfStage};
+use nalgebra::Vector3;
+
+use crate::budget::{BUNDLE_REFINEMENTS, CUT_QUANTA, CUT_QUANTUM_STEPS, ISLAND_RANGE_M};
+use crate::crf::{Ablation, CrfInputs, CrfStage, Islands};
 use crate::deadline::{Announcement, Slices};
 use crate::emit::{CanFrame, FreeSpaceMessage, can::FRAMES};
 use crate::frame::{Camera, Lens, PixelFormat, RawFrame, RayTable, RgbImage};
@@ -19,6 +21,8 @@ use crate::space::{Micros, Plane, Pose};
 #[allow(unused_imports, reason = "float methods come from std where that feature is on")]
 use num_traits::Float as _;
 
+/// Confidence in road of what an island was, at most.
+const ISLAND_CONFIDENCE: f32 = 0.45;
 /// A scale measured with less confidence than this is not used (see [`ScaleEstimate::confidence`]).
 const SCALE_CONFIDENCE: f32 = 0.1;
 /// Share of a measured scale error that one key frame corrects.
@@ -181,6 +185,7 @@ pub struct KeyFrameTask {
     road_score: Box<[f32]>,
     not_road_score: Box<[f32]>,
     crf: CrfStage,
+    islands: Islands,
     grid: GridStage,
 }
 
@@ -227,6 +232,7 @@ impl KeyFrameTask {
             road_score: vec![0.5; width * height].into_boxed_slice(),
             not_road_score: vec![0.5; width * height].into_boxed_slice(),
             crf: CrfStage::new(width, height, &config.crf),
+            islands: Islands::new(width, height),
             grid: GridStage::new(&camera, config.grid, width, height),
         }
     }
@@ -262,8 +268,8 @@ impl KeyFrameTask {
 
         let plane_in_camera = self.priors.plane_in_camera();
         let grid = self.grid.step(
-            self.crf.labels(),
-            self.crf.margin(),
+            &output.labels,
+            &output.confidence,
             self.priors.surface(),
             &plane_in_camera,
             &self.camera.world_from_vehicle(&world_from_camera),
@@ -280,8 +286,6 @@ impl KeyFrameTask {
         output.tracking = job.tracking;
         output.scale = self.map.scale_state();
         output.speed_mps = job.speed_mps;
-        output.labels.copy_from_slice(self.crf.labels());
-        output.confidence.copy_from_slice(self.crf.margin());
         output.plane_in_camera = plane_in_camera;
         output.priors.clone_from(self.priors.priors());
         if self.priors.priors().plane.is_none_or(|plane| plane.inliers == 0) {
@@ -420,6 +424,28 @@ impl KeyFrameTask {
             output.faults.insert(Faults::CUT_STOPPED);
         }
         output.energy_gap = self.crf.gap();
+        self.take_labels(output);
+    }
+
+    /// The cut's labels without islands, and confidences on the same side.
+    fn take_labels(&mut self, output: &mut KeyFrameOutput) {
+        output.labels.copy_from_slice(self.crf.labels());
+        let near_row = self.row_at(ISLAND_RANGE_M);
+        self.islands.remove(&mut output.labels, near_row);
+        for ((confidence, margin), label) in output.confidence.iter_mut().zip(self.crf.margin()).zip(&output.labels) {
+            *confidence = if *label == 0 { margin.min(ISLAND_CONFIDENCE) } else { *margin };
+        }
+    }
+
+    /// Row of the working image where the road straight ahead is `range_m` from the camera; the last one where it is not seen.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the image")]
+    fn row_at(&self, range_m: f64) -> usize {
+        let height = self.rays.height();
+        let plane = self.priors.plane_in_camera();
+        let forward = Vector3::z() - plane.normal * plane.normal.z;
+        let point = forward * range_m - plane.normal * plane.offset_m;
+        let row = self.working_lens.project(&point).map_or(height as f64, |pixel| pixel.y);
+        row.clamp(0.0, height as f64) as usize
     }
 
     fn is_over(&self, clock: &impl Clock, ends: Micros) -> bool {
