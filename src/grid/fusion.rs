@@ -117,8 +117,9 @@ impl Fusion {
             };
             let mut reason = Reason::Previous;
             if let Sight::Seen(seen) = sight {
-                // An obstacle in a free cell is news: the past must not outvote it.
-                if evidence > 0.0 && cell.log_odds < 0.0 {
+                // What contradicts the past is news, an obstacle in a free cell as well as road where a car was: it must not be
+                // outvoted.
+                if evidence * cell.log_odds < 0.0 {
                     cell.log_odds *= 0.25;
                 }
                 cell.log_odds = (cell.log_odds + evidence).clamp(-c.limit, c.limit);

@@ -16,7 +16,7 @@ use crate::eval::grid::{CellCount, RANGE_M};
 use crate::eval::masks::{PixelCount, TruthKind};
 use crate::eval::{Truth, trajectory};
 use crate::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup};
-use crate::sink::recording::{Recording, RunTitle};
+use crate::sink::recording::{FrameRecord, Recording, RunTitle};
 use crate::wheels::SimEncoders;
 use crate::world::{Encoders, GridSpec, Label, Sensor, SimCamera, Textures, World, WorldConfig};
 
@@ -77,7 +77,9 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let devices = Devices { camera: Box::new(frames), wheels, segmenter, tiles: drive::tiles(&config) };
     let summary = drive::run(Setup { config: pipeline, devices }, Pace::Real, &mut judge)?;
     let truth = judge.truth();
+    let true_poses: Vec<FrameRecord> = judge.poses.iter().map(|(_, truth)| *truth).collect();
     let (recording, counts) = judge.recorder.into_parts(&summary)?;
+    recording.true_poses(&true_poses)?;
     let report = recording.finish(&counts, Some(truth))?;
     table::print(&report, &engine, &args.out, args.json);
     Ok(())
@@ -102,7 +104,7 @@ struct Judge {
     cells: CellCount,
     pixels: PixelCount,
     masks: usize,
-    poses: Vec<(Pose, Pose)>,
+    poses: Vec<(Pose, FrameRecord)>,
 }
 
 impl Judge {
@@ -111,7 +113,7 @@ impl Judge {
     }
 
     fn truth(&self) -> Truth {
-        let (estimated, true_poses): (Vec<Pose>, Vec<Pose>) = self.poses.iter().copied().unzip();
+        let (estimated, true_poses): (Vec<Pose>, Vec<Pose>) = self.poses.iter().map(|(pose, truth)| (*pose, truth.world_from_camera)).unzip();
         let mut truth = Truth::default().with_grid(&self.cells).with_road(&self.pixels, self.masks);
         if let Some(score) = trajectory::compare(&estimated, &true_poses) {
             truth = truth.with_trajectory(&score);
@@ -119,39 +121,48 @@ impl Judge {
         truth
     }
 
-    fn judge_grid(&mut self, report: &KeyFrameReport<'_>) {
-        let layout = *self.recorder.layout();
+    fn true_grid(&self, stamp: Micros) -> Vec<i8> {
+        let layout = self.recorder.layout();
         #[expect(clippy::cast_precision_loss, reason = "sizes of a grid")]
         let spec = GridSpec {
             cell_m: layout.cell_m,
             ahead_m: layout.rows as f64 * layout.cell_m,
             side_m: 0.5 * layout.columns as f64 * layout.cell_m,
         };
-        let truth = self.world.free_space_truth(&self.camera, seconds_at(report.output.stamp), &spec);
-        self.cells.add(&layout, &report.output.grid.occupancy, &truth, &RANGE_M);
+        self.world.free_space_truth(&self.camera, seconds_at(stamp), &spec)
     }
 
-    fn judge_mask(&mut self, report: &KeyFrameReport<'_>) {
-        let Some(job) = report.job else { return };
-        self.truth.render(&self.world, seconds_at(job.stamp), &mut self.picture);
-        let truth: Vec<u8> = self.truth.labels().iter().map(|label| u8::from(*label == Label::Road as u8)).collect();
-        let mask = self.recorder.full_size_mask(report.output);
+    fn true_mask(&mut self, stamp: Micros) -> Vec<u8> {
+        self.truth.render(&self.world, seconds_at(stamp), &mut self.picture);
+        self.truth.labels().iter().map(|label| u8::from(*label == Label::Road as u8)).collect()
+    }
+
+    fn judge(&mut self, report: &KeyFrameReport<'_>) {
+        let stamp = report.output.stamp;
+        let (cells, mask) = (self.true_grid(stamp), self.true_mask(stamp));
+        self.cells.add(self.recorder.layout(), &report.output.grid.occupancy, &cells, &RANGE_M);
+        let found = self.recorder.full_size_mask(report.output);
         // Both have the camera's size, and every value is 0 or 1.
-        if self.pixels.add(&mask, &truth, TruthKind::World).is_ok() {
+        if self.pixels.add(&found, &mask, TruthKind::World).is_ok() {
             self.masks += 1;
         }
+        self.recorder.record_truth(report.index, &cells, &mask);
     }
 }
 
 impl Observer for Judge {
     fn frame(&mut self, report: &FrameReport) {
-        self.poses.push((report.outcome.estimate.world_from_camera, self.true_pose(report.stamp)));
+        let truth = FrameRecord {
+            index: usize::try_from(report.index).unwrap_or(usize::MAX),
+            stamp: report.stamp,
+            world_from_camera: self.true_pose(report.stamp),
+        };
+        self.poses.push((report.outcome.estimate.world_from_camera, truth));
         self.recorder.frame(report);
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
-        self.judge_grid(report);
-        self.judge_mask(report);
+        self.judge(report);
         self.recorder.key_frame(report);
     }
 }

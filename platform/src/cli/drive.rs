@@ -130,6 +130,15 @@ impl Recorder {
         mask.upsampled(self.camera.width, self.camera.height)
     }
 
+    /// Writes what is known to be true of a key frame.
+    pub(super) fn record_truth(&mut self, index: u64, cells: &[i8], mask: &[u8]) {
+        let size = (self.camera.width, self.camera.height);
+        let written = self.recording.truth(&self.name(index), &self.layout, cells, mask, size);
+        if self.error.is_none() {
+            self.error = written.err();
+        }
+    }
+
     /// The recording and its counts, or the first fault that it met.
     pub(super) fn into_parts(self, summary: &RunSummary) -> Result<(Recording, RunCounts), Failure> {
         self.progress.end();

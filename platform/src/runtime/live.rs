@@ -68,6 +68,7 @@ impl<T> Clone for Pool<T> {
 impl<T> Pool<T> {
     fn filled(count: usize, make: impl Fn() -> Box<T>) -> Self {
         let (give, take) = bounded(count);
+        warm_up(&take);
         for _ in 0..count {
             // The channel has room for exactly `count`.
             let _ = give.try_send(make());
@@ -98,6 +99,10 @@ pub fn run_live(setup: Setup, stop: &Arc<AtomicBool>, observer: &mut dyn Observe
     let (lesson_to, lesson_queue) = bounded::<Box<Lesson>>(2);
     let (news_to, news) = bounded::<News>(2 * CIRCULATING);
     let (seen_to, seen) = bounded::<Observation>(256);
+    warm_up(&frames);
+    warm_up(&job_queue);
+    warm_up(&lesson_queue);
+    warm_up(&news);
     let network = ThreadedNetwork::spawn(devices.segmenter, &config, &devices.tiles, clock.clone())?;
     let frame_task = FrameTask::new(&config);
     let key_frame_task = KeyFrameTask::new(&config, Pace::Real);
@@ -176,10 +181,15 @@ fn spawn<'scope, 'env>(
     thread::Builder::new().name(name.to_owned()).stack_size(4 << 20).spawn_scoped(scope, body).map(drop)
 }
 
-/// Lets a thread allocate what a first blocking wait on a channel needs, before it counts as real-time.
+/// Lets a thread allocate what its first blocking wait needs, before it counts as real-time.
 fn warm_up_waiting() {
     let (_keep, never) = bounded::<()>(1);
     let _ = never.recv_timeout(Duration::from_micros(1));
+}
+
+/// Lets a channel allocate its list of waiting threads, before any thread counts as real-time; it must be empty.
+pub(super) fn warm_up<T>(receiver: &Receiver<T>) {
+    let _ = receiver.recv_timeout(Duration::from_micros(1));
 }
 
 fn observe(

@@ -16,6 +16,7 @@ use freespace::segmentation::{InputFiller, OutputResampler, RoadProbability, Til
 use freespace::space::Micros;
 
 use super::allocation::outside_scopes;
+use super::live::warm_up;
 use crate::clock::MonotonicClock;
 use crate::segmenter::{Segmenter, SegmenterError};
 
@@ -116,6 +117,7 @@ impl ThreadedNetwork {
     ) -> io::Result<Self> {
         let (to, queue) = bounded::<Box<Task>>(1);
         let (answers, from) = bounded::<Box<Task>>(1);
+        warm_up(&from);
         let mut network = TiledNetwork::new(segmenter, config, tiles);
         thread::Builder::new().name("network".to_owned()).spawn(move || {
             for mut task in queue {

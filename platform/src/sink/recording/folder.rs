@@ -14,11 +14,13 @@ use crate::bad_input::BadInput;
 const PARTIAL: &str = ".partial";
 
 /// Folders and files of a recording; the report is last, for it says that the recording is complete.
-const ENTRIES: [&str; 9] = [
+const ENTRIES: [&str; 11] = [
     "masks",
     "overlays",
     "birdseye",
     "grids",
+    "truth",
+    "emitted.candump",
     "trajectory.kitti",
     "trajectory.tum",
     "timing.csv",
@@ -64,8 +66,17 @@ impl OutputFolder {
     }
 
     pub(super) fn file(&self, name: &str, bytes: &[u8]) -> Result<(), RecordingError> {
-        let path = self.partial.join(name);
+        let path = self.prepared(name)?;
         fs::write(&path, bytes).map_err(|error| RecordingError::write(&path, error))
+    }
+
+    /// The path of a file whose folder exists.
+    fn prepared(&self, name: &str) -> Result<PathBuf, RecordingError> {
+        let path = self.partial.join(name);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(|error| RecordingError::write(folder, error))?;
+        }
+        Ok(path)
     }
 
     pub(super) fn read(&self, name: &str) -> Option<Vec<u8>> {
@@ -80,7 +91,7 @@ impl OutputFolder {
         height: usize,
         color: ColorType,
     ) -> Result<(), RecordingError> {
-        let path = self.partial.join(name);
+        let path = self.prepared(name)?;
         let fault = |error: std::io::Error| RecordingError::write(&path, error);
         let file = BufWriter::new(fs::File::create(&path).map_err(fault)?);
         let size = |pixels: usize| u32::try_from(pixels).unwrap_or(u32::MAX);
@@ -102,7 +113,8 @@ impl OutputFolder {
             };
             removed.map_err(|error| RecordingError::write(&old, error))?;
         }
-        for name in ENTRIES {
+        // Only a simulated drive has a truth; all else is there.
+        for name in ENTRIES.iter().filter(|name| self.partial.join(name).exists()) {
             let path = self.dir.join(name);
             fs::rename(self.partial.join(name), &path)
                 .map_err(|error| RecordingError::write(&path, error))?;

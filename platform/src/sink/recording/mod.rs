@@ -239,6 +239,32 @@ impl Recording {
         self.folder.file(&format!("grids/{name}.json"), &json(&header))
     }
 
+    /// Writes the truth of a key frame where it is known, as `eval grid` and `eval masks` read it: grid and full-size mask.
+    ///
+    /// # Errors
+    /// Where a file cannot be written.
+    pub fn truth(
+        &self,
+        name: &str,
+        layout: &GridLayout,
+        cells: &[i8],
+        mask: &[u8],
+        size: (usize, usize),
+    ) -> Result<(), RecordingError> {
+        let bytes = npy::encode_i8(layout.rows, layout.columns, cells);
+        self.folder.file(&format!("truth/grids/{name}.npy"), &bytes)?;
+        self.folder.file(&format!("truth/grids/{name}.json"), &json(layout))?;
+        self.folder.png(&format!("truth/masks/{name}.png"), mask, size.0, size.1, image::ColorType::L8)
+    }
+
+    /// Writes the true poses, a row a frame, as `eval trajectory` reads them.
+    ///
+    /// # Errors
+    /// Where the file cannot be written.
+    pub fn true_poses(&self, frames: &[FrameRecord]) -> Result<(), RecordingError> {
+        self.folder.file("truth/poses.txt", trajectory::kitti(frames).as_bytes())
+    }
+
     /// Adds the frames to the log that `emitted.candump` becomes, as `candump -L` would have seen them.
     fn log_can(&mut self, record: &KeyFrameRecord<'_>) {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a latency of some milliseconds")]
