@@ -8,7 +8,11 @@ use crate::space::{Micros, Pose};
 
 /// Time after capture at which the refinement of each stage ends; what is there then is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields, default))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize),
+    serde(deny_unknown_fields, default)
+)]
 pub struct Slices {
     /// No further bundle-adjustment iteration.
     pub map_micros: u64,
@@ -73,13 +77,21 @@ impl Publisher {
     /// A publisher that keeps this deadline.
     #[must_use]
     pub fn new(slices: &Slices) -> Self {
-        Self { deadline_micros: slices.deadline_micros, guard_micros: slices.guard_micros, ..Self::default() }
+        Self {
+            deadline_micros: slices.deadline_micros,
+            guard_micros: slices.guard_micros,
+            ..Self::default()
+        }
     }
 
     /// Takes note of a key frame; where too many are pending already, the oldest is returned and must be answered by a
     /// fallback now.
     pub fn announce(&mut self, announcement: Announcement) -> Option<Announcement> {
-        let displaced = if self.pending.is_full() { self.pending.pop_front() } else { None };
+        let displaced = if self.pending.is_full() {
+            self.pending.pop_front()
+        } else {
+            None
+        };
         self.misses += u64::from(displaced.is_some());
         // Room was made above.
         let _ = self.pending.push_back(announcement);
@@ -88,7 +100,11 @@ impl Publisher {
 
     /// Judges an answer.
     pub fn answer(&mut self, sequence: u32) -> Verdict {
-        let Some(index) = self.pending.iter().position(|pending| pending.sequence == sequence) else {
+        let Some(index) = self
+            .pending
+            .iter()
+            .position(|pending| pending.sequence == sequence)
+        else {
             self.late += 1;
             return Verdict::Late;
         };
@@ -113,7 +129,10 @@ impl Publisher {
 
     /// A key frame that must be answered by a fallback now; call until none is left.
     pub fn expire(&mut self, now: Micros) -> Option<Announcement> {
-        let due = self.pending.front().is_some_and(|pending| now >= self.send_by(pending));
+        let due = self
+            .pending
+            .front()
+            .is_some_and(|pending| now >= self.send_by(pending));
         self.misses += u64::from(due);
         if due { self.pending.pop_front() } else { None }
     }
@@ -131,7 +150,9 @@ impl Publisher {
     }
 
     fn send_by(&self, pending: &Announcement) -> Micros {
-        pending.stamp.plus(self.deadline_micros.saturating_sub(self.guard_micros))
+        pending
+            .stamp
+            .plus(self.deadline_micros.saturating_sub(self.guard_micros))
     }
 }
 
@@ -140,7 +161,12 @@ mod tests {
     use super::*;
 
     fn announcement(sequence: u32, stamp: u64) -> Announcement {
-        Announcement { sequence, frame: 0, stamp: Micros(stamp), world_from_camera: Pose::identity() }
+        Announcement {
+            sequence,
+            frame: 0,
+            stamp: Micros(stamp),
+            world_from_camera: Pose::identity(),
+        }
     }
 
     fn publisher() -> Publisher {
@@ -174,7 +200,11 @@ mod tests {
         let mut publisher = publisher();
         let mut sent = 0;
         for sequence in 0..20 {
-            sent += u64::from(publisher.announce(announcement(sequence, u64::from(sequence))).is_some());
+            sent += u64::from(
+                publisher
+                    .announce(announcement(sequence, u64::from(sequence)))
+                    .is_some(),
+            );
         }
         while publisher.expire(Micros(10_000_000)).is_some() {
             sent += 1;

@@ -230,6 +230,17 @@ impl BitOrAssign for Faults {
     }
 }
 
+impl From<ImageFault> for Faults {
+    fn from(fault: ImageFault) -> Self {
+        match fault {
+            ImageFault::Frozen => Self::IMAGE_FROZEN,
+            ImageFault::Black => Self::IMAGE_BLACK,
+            ImageFault::OverExposed => Self::IMAGE_OVEREXPOSED,
+            ImageFault::Blocked => Self::IMAGE_BLOCKED,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -255,17 +266,6 @@ mod tests {
             if let Some(level) = QualityLevel::from_wire(number) {
                 assert_eq!(level as u8, number);
             }
-        }
-    }
-}
-
-impl From<ImageFault> for Faults {
-    fn from(fault: ImageFault) -> Self {
-        match fault {
-            ImageFault::Frozen => Self::IMAGE_FROZEN,
-            ImageFault::Black => Self::IMAGE_BLACK,
-            ImageFault::OverExposed => Self::IMAGE_OVEREXPOSED,
-            ImageFault::Blocked => Self::IMAGE_BLOCKED,
         }
     }
 }

@@ -46,7 +46,11 @@ impl Triangle {
             out_width: 80,
             out_height: 60,
         };
-        Self { shape, runs: 0, failing }
+        Self {
+            shape,
+            runs: 0,
+            failing,
+        }
     }
 }
 
@@ -90,7 +94,8 @@ struct Log {
 
 impl Observer for Log {
     fn frame(&mut self, report: &FrameReport) {
-        self.poses.push(format!("{:?}", report.outcome.estimate.world_from_camera));
+        self.poses
+            .push(format!("{:?}", report.outcome.estimate.world_from_camera));
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
@@ -98,22 +103,54 @@ impl Observer for Log {
         self.messages.push(output.message[..output.message_len].to_vec());
         self.masks.push(output.labels.to_vec());
         self.levels.push(output.level.name());
-        self.free_cells.push(output.grid.occupancy.iter().filter(|cell| (0..=35).contains(*cell)).count());
+        self.free_cells.push(
+            output
+                .grid
+                .occupancy
+                .iter()
+                .filter(|cell| (0..=35).contains(*cell))
+                .count(),
+        );
     }
 }
 
 const SECONDS: f64 = 4.0;
 
 fn drive(failing: std::ops::Range<u32>, has_wheels: bool) -> (Log, RunSummary) {
-    let mount =
-        Mount { height_m: 1.4, ahead_m: 1.6, left_m: 0.0, pitch_rad: 0.04, yaw_rad: 0.0, roll_rad: 0.0 };
-    let camera = Camera { lens: Lens::pinhole(260.0, 260.0, 159.5, 119.5), width: 320, height: 240, mount };
-    let odometer =
-        WheelConfig { metres_per_count: 0.02, modulus: 256, track_m: 1.54, timeout_micros: 200_000 };
-    let start = Drive { start_mps: 8.0, ..Drive::default() };
-    let config = WorldConfig { seed: 3, drive: start, ..WorldConfig::default() };
+    let mount = Mount {
+        height_m: 1.4,
+        ahead_m: 1.6,
+        left_m: 0.0,
+        pitch_rad: 0.04,
+        yaw_rad: 0.0,
+        roll_rad: 0.0,
+    };
+    let camera = Camera {
+        lens: Lens::pinhole(260.0, 260.0, 159.5, 119.5),
+        width: 320,
+        height: 240,
+        mount,
+    };
+    let odometer = WheelConfig {
+        metres_per_count: 0.02,
+        modulus: 256,
+        track_m: 1.54,
+        timeout_micros: 200_000,
+    };
+    let start = Drive {
+        start_mps: 8.0,
+        ..Drive::default()
+    };
+    let config = WorldConfig {
+        seed: 3,
+        drive: start,
+        ..WorldConfig::default()
+    };
     let world = Arc::new(World::new(&config, &Arc::new(Textures::new())));
-    let encoders = Encoders { metres_per_count: 0.02, ..Encoders::default() };
+    let encoders = Encoders {
+        metres_per_count: 0.02,
+        ..Encoders::default()
+    };
     let wheels = SimEncoders::new(Arc::clone(&world), &encoders);
     let frames = SimFrames::new(world, &camera, &Sensor::default(), false, 10.0, SECONDS);
     let setup = Setup {
@@ -147,9 +184,20 @@ fn a_drive_allocates_nothing_after_the_start_and_answers_every_key_frame() {
     let (log, summary) = drive(0..0, true);
     assert!(freespace_platform::runtime::allocation::is_installed());
     assert_eq!(summary.allocations_after_start, 0);
-    assert_eq!((summary.frames, summary.key_frames, summary.dropped_frames), (40, 8, 0));
-    assert!(log.levels.iter().all(|level| *level == "full"), "{:?}", log.levels);
-    assert!(log.free_cells.iter().all(|cells| *cells > 500), "{:?}", log.free_cells);
+    assert_eq!(
+        (summary.frames, summary.key_frames, summary.dropped_frames),
+        (40, 8, 0)
+    );
+    assert!(
+        log.levels.iter().all(|level| *level == "full"),
+        "{:?}",
+        log.levels
+    );
+    assert!(
+        log.free_cells.iter().all(|cells| *cells > 500),
+        "{:?}",
+        log.free_cells
+    );
 }
 
 #[test]
@@ -163,9 +211,17 @@ fn the_same_drive_gives_the_same_bytes() {
 fn a_failing_network_lowers_the_level_and_no_more() {
     let (log, summary) = drive(2..4, true);
     assert_eq!(summary.key_frames, 8);
-    let stale = log.levels.iter().enumerate().filter(|(_, level)| **level == "no_fresh_network");
+    let stale = log
+        .levels
+        .iter()
+        .enumerate()
+        .filter(|(_, level)| **level == "no_fresh_network");
     assert_eq!(stale.map(|(index, _)| index).collect::<Vec<_>>(), [2, 3]);
-    assert!(log.free_cells[3] > 100, "the last probabilities, moved, still show road: {:?}", log.free_cells);
+    assert!(
+        log.free_cells[3] > 100,
+        "the last probabilities, moved, still show road: {:?}",
+        log.free_cells
+    );
 }
 
 #[test]

@@ -64,7 +64,7 @@ fn the_shipped_network_answers_alike_in_every_engine() {
         if choice == EngineChoice::OnnxRuntime {
             assert_eq!(allocations, 0);
         }
-        let pixels = shape.output_width * shape.output_height;
+        let pixels = shape.out_width * shape.out_height;
         for pixel in 0..pixels {
             let sum: f32 = (0..shape.classes)
                 .map(|class| answer[class * pixels + pixel])

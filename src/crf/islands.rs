@@ -31,7 +31,11 @@ impl Islands {
     #[must_use]
     pub fn new(width: usize, height: usize) -> Self {
         let pixels = width * height;
-        Self { width, patch: vec![0; pixels].into_boxed_slice(), stack: vec![0; pixels].into_boxed_slice() }
+        Self {
+            width,
+            patch: vec![0; pixels].into_boxed_slice(),
+            stack: vec![0; pixels].into_boxed_slice(),
+        }
     }
 
     /// Takes the islands out of `labels` that begin in row `near_row` or below it.
@@ -61,7 +65,10 @@ impl Islands {
     }
 
     /// Numbers the patch of `seed`; returns its pixels.
-    #[expect(clippy::cast_possible_truncation, reason = "an image has fewer than 2^32 pixels")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "an image has fewer than 2^32 pixels"
+    )]
     fn fill(&mut self, labels: &[u8], seed: usize, number: u32) -> usize {
         let (width, end) = (self.width, labels.len());
         let (mut depth, mut pixels) = (0, 0);
@@ -102,7 +109,9 @@ mod tests {
     use super::*;
 
     fn labels(rows: [&str; 4]) -> alloc::vec::Vec<u8> {
-        rows.iter().flat_map(|row| row.bytes().map(|byte| u8::from(byte == b'#'))).collect()
+        rows.iter()
+            .flat_map(|row| row.bytes().map(|byte| u8::from(byte == b'#')))
+            .collect()
     }
 
     #[test]

@@ -96,7 +96,13 @@ mod tests {
 
     #[test]
     fn each_fault_is_named() {
-        let blocks = |x: usize, y: usize| if (x / 16 + y / 16) % 2 == 0 { 60 } else { 150 };
+        let blocks = |x: usize, y: usize| {
+            if (x / 16 + y / 16).is_multiple_of(2) {
+                60
+            } else {
+                150
+            }
+        };
         let sound = picture(blocks);
         assert_eq!(image_fault(&sound, None), None);
         assert_eq!(image_fault(&sound, Some(&sound)), Some(ImageFault::Frozen));

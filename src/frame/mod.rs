@@ -47,7 +47,8 @@ impl Camera {
     #[expect(clippy::cast_precision_loss, reason = "image sizes are far below 2^52")]
     pub fn lens_at(&self, width: usize, height: usize) -> Lens {
         let scale = |to: usize, from: usize| to as f64 / from.max(1) as f64;
-        self.lens.scaled(scale(width, self.width), scale(height, self.height))
+        self.lens
+            .scaled(scale(width, self.width), scale(height, self.height))
     }
 }
 
@@ -132,7 +133,13 @@ mod tests {
         let mut stage = FrameStage::new(&camera);
         let pattern = |shift: usize| -> Vec<u8> {
             (0..64 * 48)
-                .map(|i| if (i % 64 + shift) / 8 % 2 == 0 { 40 } else { 160 })
+                .map(|i| {
+                    if ((i % 64 + shift) / 8).is_multiple_of(2) {
+                        40
+                    } else {
+                        160
+                    }
+                })
                 .collect()
         };
         let frames = [

@@ -6,7 +6,10 @@ use crate::emit::{CanEncoder, Header, Publication};
 use crate::frame::Camera;
 use crate::port::Clock;
 use crate::space::Micros;
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 /// Turns outputs, fallbacks among them, into messages; keeps the counters of their protection.
@@ -22,21 +25,32 @@ impl EmitTask {
     /// An encoder for the camera's vehicle and the deadline.
     #[must_use]
     pub fn new(camera: &Camera, slices: &Slices) -> Self {
-        Self { camera: *camera, deadline_micros: slices.deadline_micros, can: CanEncoder::default(), last: None }
+        Self {
+            camera: *camera,
+            deadline_micros: slices.deadline_micros,
+            can: CanEncoder::default(),
+            last: None,
+        }
     }
 
     /// Fills `output.message` and `output.can_frames`, to leave at `publish`.
     pub fn step(&mut self, output: &mut KeyFrameOutput, publish: Micros, clock: &impl Clock) {
         let begin = clock.now();
         let header = self.header(output, publish);
-        let publication = Publication { header, grid: &output.grid };
+        let publication = Publication {
+            header,
+            grid: &output.grid,
+        };
         // Cannot fail: the message was sized for this grid.
         output.message_len = publication.encode_into(&mut output.message).unwrap_or(0);
         output.can_frames = self.can.encode(&header);
         output.times.add(Stage::Emit, clock.now().since(begin));
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "metres, radians and microseconds of one deadline")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "metres, radians and microseconds of one deadline"
+    )]
     fn header(&mut self, output: &KeyFrameOutput, publish: Micros) -> Header {
         let vehicle = self.camera.world_from_vehicle(&output.world_from_camera);
         let rotation = vehicle.rotation.coords;
@@ -68,7 +82,9 @@ impl EmitTask {
 
     /// Mean yaw rate since the last publication.
     fn yaw_rate(&mut self, stamp: Micros, yaw_rad: f64) -> f64 {
-        let Some((last_stamp, last_yaw_rad)) = self.last.replace((stamp, yaw_rad)) else { return 0.0 };
+        let Some((last_stamp, last_yaw_rad)) = self.last.replace((stamp, yaw_rad)) else {
+            return 0.0;
+        };
         let seconds = stamp.seconds_since(last_stamp);
         if seconds <= 0.0 {
             return 0.0;

@@ -138,7 +138,10 @@ impl FrameTask {
         let begin = clock.now();
         let fault = self.stage.step(raw)?;
         let decoded = clock.now();
-        let travel = self.wheels.as_ref().and_then(|wheels| wheels.travel_at(raw.stamp));
+        let travel = self
+            .wheels
+            .as_ref()
+            .and_then(|wheels| wheels.travel_at(raw.stamp));
         let estimate = match fault {
             None => self.tracker.step(
                 self.stage.previous_pyramid(),
@@ -166,7 +169,11 @@ impl FrameTask {
         job.times.add(Stage::Track, end.since(decoded));
         self.frames += 1;
         self.last = Some(estimate);
-        Ok(FrameOutcome { estimate, fault, is_key_frame })
+        Ok(FrameOutcome {
+            estimate,
+            fault,
+            is_key_frame,
+        })
     }
 
     /// Prepares a job that came back for the views of the next key frame.
@@ -236,6 +243,7 @@ impl FrameTask {
         if seconds <= 0.0 {
             return 0.0;
         }
-        (estimate.world_from_camera.translation.vector - last.world_from_camera.translation.vector).norm() / seconds
+        (estimate.world_from_camera.translation.vector - last.world_from_camera.translation.vector).norm()
+            / seconds
     }
 }

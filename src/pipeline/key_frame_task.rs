@@ -18,7 +18,10 @@ use crate::port::{Clock, NetworkMiss, RoadNetwork};
 use crate::priors::{Priors, PriorsStage, ScaleEstimate};
 use crate::segmentation::{ColourLines, RoadProbability, reproject};
 use crate::space::{Micros, Plane, Pose};
-#[allow(unused_imports, reason = "float methods come from std where that feature is on")]
+#[allow(
+    unused_imports,
+    reason = "float methods come from std where that feature is on"
+)]
 use num_traits::Float as _;
 
 /// Confidence in road of what an island was, at most.
@@ -110,7 +113,12 @@ impl KeyFrameOutput {
 
     /// Takes over another output of the same sizes, but for what was emitted of it.
     pub fn copy_from(&mut self, other: &Self) {
-        let Self { labels, confidence, grid, .. } = self;
+        let Self {
+            labels,
+            confidence,
+            grid,
+            ..
+        } = self;
         labels.copy_from_slice(&other.labels);
         confidence.copy_from_slice(&other.confidence);
         grid.copy_from(&other.grid);
@@ -133,10 +141,19 @@ impl KeyFrameOutput {
 
     /// Becomes the answer to a key frame whose own is late: the last grid, moved by the ego motion and aged, or an invalid
     /// one before there was any. `carrier` has adopted the last grid.
-    pub fn fall_back(&mut self, last: Option<&Self>, awaited: &Announcement, camera: &Camera, carrier: &mut GridStage) {
+    pub fn fall_back(
+        &mut self,
+        last: Option<&Self>,
+        awaited: &Announcement,
+        camera: &Camera,
+        carrier: &mut GridStage,
+    ) {
         if let Some(last) = last {
             self.copy_from(last);
-            carrier.carry(&camera.world_from_vehicle(&awaited.world_from_camera), awaited.stamp);
+            carrier.carry(
+                &camera.world_from_vehicle(&awaited.world_from_camera),
+                awaited.stamp,
+            );
             self.grid.copy_from(carrier.grid());
             self.boundary = *carrier.boundary();
             self.level = QualityLevel::Moved;
@@ -202,7 +219,10 @@ impl Lesson {
     /// An empty lesson.
     #[must_use]
     pub fn new() -> Box<Self> {
-        Box::new(Self { update: MapUpdate::default(), plane_in_camera: Plane::default() })
+        Box::new(Self {
+            update: MapUpdate::default(),
+            plane_in_camera: Plane::default(),
+        })
     }
 }
 
@@ -255,7 +275,8 @@ impl KeyFrameTask {
         lap.end(Stage::Map);
 
         let world_from_camera = self.refined_pose(job);
-        self.priors.step(self.map.landmarks(), &world_from_camera, job.stamp);
+        self.priors
+            .step(self.map.landmarks(), &world_from_camera, job.stamp);
         self.teach(lesson);
         lap.end(Stage::Priors);
 
@@ -315,7 +336,9 @@ impl KeyFrameTask {
         }
         self.map.finish();
         if !self.has_wheels
-            && let Some(scale) = self.priors.measure_scale(self.map.landmarks(), &self.map.newest_pose())
+            && let Some(scale) = self
+                .priors
+                .measure_scale(self.map.landmarks(), &self.map.newest_pose())
         {
             let is_first = self.map.scale_state() != ScaleState::CameraHeight;
             self.map.rescale(correction(&scale, is_first));
@@ -399,7 +422,8 @@ impl KeyFrameTask {
             Ablation::Joint | Ablation::TwoD => self.colour_lines.learn(&self.image, &self.probability.road),
             Ablation::ThreeD => self.colour_lines.learn(&self.image, self.priors.belief()),
         }
-        self.colour_lines.score_into(&self.image, &mut self.road_score, &mut self.not_road_score);
+        self.colour_lines
+            .score_into(&self.image, &mut self.road_score, &mut self.not_road_score);
     }
 
     /// Stage 6: the unaries' labels, then the cut until its slice ends.
@@ -432,19 +456,35 @@ impl KeyFrameTask {
         output.labels.copy_from_slice(self.crf.labels());
         let near_row = self.row_at(ISLAND_RANGE_M);
         self.islands.remove(&mut output.labels, near_row);
-        for ((confidence, margin), label) in output.confidence.iter_mut().zip(self.crf.margin()).zip(&output.labels) {
-            *confidence = if *label == 0 { margin.min(ISLAND_CONFIDENCE) } else { *margin };
+        for ((confidence, margin), label) in output
+            .confidence
+            .iter_mut()
+            .zip(self.crf.margin())
+            .zip(&output.labels)
+        {
+            *confidence = if *label == 0 {
+                margin.min(ISLAND_CONFIDENCE)
+            } else {
+                *margin
+            };
         }
     }
 
     /// Row of the working image where the road straight ahead is `range_m` from the camera; the last one where it is not seen.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the image")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped to the image"
+    )]
     fn row_at(&self, range_m: f64) -> usize {
         let height = self.rays.height();
         let plane = self.priors.plane_in_camera();
         let forward = Vector3::z() - plane.normal * plane.normal.z;
         let point = forward * range_m - plane.normal * plane.offset_m;
-        let row = self.working_lens.project(&point).map_or(height as f64, |pixel| pixel.y);
+        let row = self
+            .working_lens
+            .project(&point)
+            .map_or(height as f64, |pixel| pixel.y);
         row.clamp(0.0, height as f64) as usize
     }
 
@@ -487,7 +527,11 @@ struct Lap<'a, C> {
 
 impl<'a, C: Clock> Lap<'a, C> {
     fn new(clock: &'a C, times: StageTimes) -> Self {
-        Self { clock, begin: clock.now(), times }
+        Self {
+            clock,
+            begin: clock.now(),
+            times,
+        }
     }
 
     fn end(&mut self, stage: Stage) {

@@ -34,8 +34,8 @@ use super::rolling::Rolling;
 use super::search::{guesses, there_and_back};
 use super::{TrackId, Travel};
 use crate::budget::{MAX_TRACKS, RECENT_POSES};
-use crate::health::TrackingState;
 use crate::frame::{Camera, Pyramid};
+use crate::health::TrackingState;
 use crate::map::{MapUpdate, Observation, View};
 use crate::space::{Micros, Plane, Pose};
 
@@ -257,7 +257,11 @@ impl Tracker {
             .find(|p| p.stamp == stamp)
             .map(|p| p.world_from_camera)
             // The last view may be older than the row, when the car stands.
-            .or_else(|| self.viewed.filter(|viewed| viewed.0 == stamp).map(|viewed| viewed.1))
+            .or_else(|| {
+                self.viewed
+                    .filter(|viewed| viewed.0 == stamp)
+                    .map(|viewed| viewed.1)
+            })
             .unwrap_or(update.world_from_camera_tracked);
         let correct = |pose: &Pose| {
             let mut since = tracked.inv_mul(pose);

@@ -69,7 +69,7 @@ impl Drive {
         let mut drive = Self {
             camera,
             rolling: Rolling::new(&camera.mount),
-            stage: FrameStage::new(&camera, 160, 100),
+            stage: FrameStage::new(&camera),
             tracker: Tracker::new(
                 &camera,
                 &TrackConfig {

@@ -26,7 +26,11 @@ enum Picture {
 impl SimFrames {
     /// A camera that drives through `world` for `seconds`.
     #[must_use]
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of frames")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a number of frames"
+    )]
     pub fn new(
         world: Arc<World>,
         camera: &Camera,
@@ -71,7 +75,12 @@ pub fn seconds_at(stamp: Micros) -> f64 {
 }
 
 impl CameraPort for SimFrames {
-    #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "stamps")]
+    #[expect(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "stamps"
+    )]
     fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
         if self.next >= self.frames {
             return CameraAnswer::End;

@@ -31,7 +31,10 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let path = args.config.clone().unwrap_or_else(|| shipped(SHIPPED));
     let config = Config::load(&path)?;
     let camera = config.camera_for(&path, 640, 480)?;
-    let mut world_config = WorldConfig { seed: args.seed, ..WorldConfig::default() };
+    let mut world_config = WorldConfig {
+        seed: args.seed,
+        ..WorldConfig::default()
+    };
     let odometer = match config.wheels() {
         Wheels::Sim(odometer) => Some(odometer),
         Wheels::None | Wheels::Can(_) => None,
@@ -49,7 +52,14 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let recording = Recording::create(&args.out, title)?;
     let world = Arc::new(World::new(&world_config, &Arc::new(Textures::new())));
     let rate_hz = config.camera.frame_rate_hz;
-    let frames = SimFrames::new(Arc::clone(&world), &camera, &Sensor::default(), false, rate_hz, args.seconds);
+    let frames = SimFrames::new(
+        Arc::clone(&world),
+        &camera,
+        &Sensor::default(),
+        false,
+        rate_hz,
+        args.seconds,
+    );
     let wheels = odometer.map(|odometer| -> Box<dyn WheelPort + Send> {
         let encoders = Encoders {
             seed: args.seed,
@@ -59,7 +69,11 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         };
         Box::new(SimEncoders::new(Arc::clone(&world), &encoders))
     });
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an interval of at most 10 s")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "an interval of at most 10 s"
+    )]
     let period_micros = (config.key_frames.interval_s * 1e6) as u64;
     let pipeline = drive::pipeline_config(&config, camera, odometer, Cadence::Micros(period_micros));
     let progress = Progress::new(frames.len());
@@ -74,8 +88,20 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         masks: 0,
         poses: Vec::new(),
     };
-    let devices = Devices { camera: Box::new(frames), wheels, segmenter, tiles: drive::tiles(&config) };
-    let summary = drive::run(Setup { config: pipeline, devices }, Pace::Real, &mut judge)?;
+    let devices = Devices {
+        camera: Box::new(frames),
+        wheels,
+        segmenter,
+        tiles: drive::tiles(&config),
+    };
+    let summary = drive::run(
+        Setup {
+            config: pipeline,
+            devices,
+        },
+        Pace::Real,
+        &mut judge,
+    )?;
     let truth = judge.truth();
     let true_poses: Vec<FrameRecord> = judge.poses.iter().map(|(_, truth)| *truth).collect();
     let (recording, counts) = judge.recorder.into_parts(&summary)?;
@@ -91,7 +117,9 @@ fn shipped(file: &str) -> std::path::PathBuf {
     if here.exists() {
         return here;
     }
-    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file)
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("..")
+        .join(file)
 }
 
 /// Records a drive, and measures it against the world it went through.
@@ -109,12 +137,19 @@ struct Judge {
 
 impl Judge {
     fn true_pose(&self, stamp: Micros) -> Pose {
-        self.world.world_from_camera(seconds_at(stamp), &self.camera.mount)
+        self.world
+            .world_from_camera(seconds_at(stamp), &self.camera.mount)
     }
 
     fn truth(&self) -> Truth {
-        let (estimated, true_poses): (Vec<Pose>, Vec<Pose>) = self.poses.iter().map(|(pose, truth)| (*pose, truth.world_from_camera)).unzip();
-        let mut truth = Truth::default().with_grid(&self.cells).with_road(&self.pixels, self.masks);
+        let (estimated, true_poses): (Vec<Pose>, Vec<Pose>) = self
+            .poses
+            .iter()
+            .map(|(pose, truth)| (*pose, truth.world_from_camera))
+            .unzip();
+        let mut truth = Truth::default()
+            .with_grid(&self.cells)
+            .with_road(&self.pixels, self.masks);
         if let Some(score) = trajectory::compare(&estimated, &true_poses) {
             truth = truth.with_trajectory(&score);
         }
@@ -129,18 +164,29 @@ impl Judge {
             ahead_m: layout.rows as f64 * layout.cell_m,
             side_m: 0.5 * layout.columns as f64 * layout.cell_m,
         };
-        self.world.free_space_truth(&self.camera, seconds_at(stamp), &spec)
+        self.world
+            .free_space_truth(&self.camera, seconds_at(stamp), &spec)
     }
 
     fn true_mask(&mut self, stamp: Micros) -> Vec<u8> {
-        self.truth.render(&self.world, seconds_at(stamp), &mut self.picture);
-        self.truth.labels().iter().map(|label| u8::from(*label == Label::Road as u8)).collect()
+        self.truth
+            .render(&self.world, seconds_at(stamp), &mut self.picture);
+        self.truth
+            .labels()
+            .iter()
+            .map(|label| u8::from(*label == Label::Road as u8))
+            .collect()
     }
 
     fn judge(&mut self, report: &KeyFrameReport<'_>) {
         let stamp = report.output.stamp;
         let (cells, mask) = (self.true_grid(stamp), self.true_mask(stamp));
-        self.cells.add(self.recorder.layout(), &report.output.grid.occupancy, &cells, &RANGE_M);
+        self.cells.add(
+            self.recorder.layout(),
+            &report.output.grid.occupancy,
+            &cells,
+            &RANGE_M,
+        );
         let found = self.recorder.full_size_mask(report.output);
         // Both have the camera's size, and every value is 0 or 1.
         if self.pixels.add(&found, &mask, TruthKind::World).is_ok() {
@@ -157,7 +203,8 @@ impl Observer for Judge {
             stamp: report.stamp,
             world_from_camera: self.true_pose(report.stamp),
         };
-        self.poses.push((report.outcome.estimate.world_from_camera, truth));
+        self.poses
+            .push((report.outcome.estimate.world_from_camera, truth));
         self.recorder.frame(report);
     }
 

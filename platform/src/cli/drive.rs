@@ -20,7 +20,9 @@ use crate::config::Config;
 use crate::eval::grid::GridLayout;
 use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, Setup};
 use crate::segmenter::{self, EngineChoice, Manifest, Segmenter};
-use crate::sink::recording::{FrameRecord, ImageView, KeyFrameRecord, MaskView, Recording, RecordingError, RunCounts};
+use crate::sink::recording::{
+    FrameRecord, ImageView, KeyFrameRecord, MaskView, Recording, RecordingError, RunCounts,
+};
 
 /// The pipeline's settings.
 pub(super) fn pipeline_config(
@@ -56,7 +58,9 @@ pub(super) fn open_network(config: &Config) -> Result<Box<dyn Segmenter>, Failur
 
 /// The configured tiles.
 pub(super) const fn tiles(config: &Config) -> TileConfig {
-    TileConfig { count: Some(config.network.tiles) }
+    TileConfig {
+        count: Some(config.network.tiles),
+    }
 }
 
 /// Runs the pipeline at a pace.
@@ -66,9 +70,13 @@ pub(super) const fn tiles(config: &Config) -> TileConfig {
 pub(super) fn run(setup: Setup, pace: Pace, observer: &mut dyn Observer) -> Result<RunSummary, Failure> {
     match pace {
         Pace::Fast => Ok(runtime::run_in_lockstep(setup, observer)),
-        Pace::Real => runtime::run_live(setup, &Arc::new(AtomicBool::new(false)), observer).map_err(|error| {
-            Failure::Internal(miette::miette!("a thread of the pipeline could not be started: {error}"))
-        }),
+        Pace::Real => {
+            runtime::run_live(setup, &Arc::new(AtomicBool::new(false)), observer).map_err(|error| {
+                Failure::Internal(miette::miette!(
+                    "a thread of the pipeline could not be started: {error}"
+                ))
+            })
+        }
     }
 }
 
@@ -78,7 +86,12 @@ pub(super) fn layout(config: &GridConfig) -> GridLayout {
     let cell_m = f64::from(cell_m);
     #[expect(clippy::cast_precision_loss, reason = "columns of a grid")]
     let right_m = -0.5 * columns as f64 * cell_m;
-    GridLayout { rows, columns, cell_m, origin_in_vehicle_m: [0.0, right_m] }
+    GridLayout {
+        rows,
+        columns,
+        cell_m,
+        origin_in_vehicle_m: [0.0, right_m],
+    }
 }
 
 /// Writes what a run gives, and keeps what its report needs.
@@ -121,19 +134,28 @@ impl Recorder {
 
     /// Name of a frame.
     pub(super) fn name(&self, index: u64) -> String {
-        self.names.get(&index).cloned().unwrap_or_else(|| format!("{index:06}"))
+        self.names
+            .get(&index)
+            .cloned()
+            .unwrap_or_else(|| format!("{index:06}"))
     }
 
     /// An output's labels at the size of the camera, 1 = road.
     pub(super) fn full_size_mask(&self, output: &KeyFrameOutput) -> Vec<u8> {
-        let mask = MaskView { width: self.working.0, height: self.working.1, labels: &output.labels };
+        let mask = MaskView {
+            width: self.working.0,
+            height: self.working.1,
+            labels: &output.labels,
+        };
         mask.upsampled(self.camera.width, self.camera.height)
     }
 
     /// Writes what is known to be true of a key frame.
     pub(super) fn record_truth(&mut self, index: u64, cells: &[i8], mask: &[u8]) {
         let size = (self.camera.width, self.camera.height);
-        let written = self.recording.truth(&self.name(index), &self.layout, cells, mask, size);
+        let written = self
+            .recording
+            .truth(&self.name(index), &self.layout, cells, mask, size);
         if self.error.is_none() {
             self.error = written.err();
         }
@@ -149,7 +171,8 @@ impl Recorder {
             frames: summary.frames,
             tracked_frames: self.tracked_frames,
             dropped_frames: summary.dropped_frames,
-            allocations_after_start: runtime::allocation::is_installed().then_some(summary.allocations_after_start),
+            allocations_after_start: runtime::allocation::is_installed()
+                .then_some(summary.allocations_after_start),
             peak_rss_mb: peak_rss_mb(),
         };
         Ok((self.recording, counts))
@@ -170,7 +193,11 @@ impl Recorder {
                 channels: 3,
                 bytes: report.job.map_or(&self.black, |job| job.image.pixels()),
             },
-            mask: MaskView { width: self.working.0, height: self.working.1, labels: &output.labels },
+            mask: MaskView {
+                width: self.working.0,
+                height: self.working.1,
+                labels: &output.labels,
+            },
             layout: self.layout,
             cells: &output.grid.occupancy,
             world_from_vehicle: self.camera.world_from_vehicle(&output.world_from_camera),
@@ -197,7 +224,10 @@ impl Recorder {
                 if point.z < 0.3 {
                     return None;
                 }
-                self.camera.lens.project(&point.coords).map(|pixel| (pixel.x as f32, pixel.y as f32))
+                self.camera
+                    .lens
+                    .project(&point.coords)
+                    .map(|pixel| (pixel.x as f32, pixel.y as f32))
             };
             for from in 0..8 {
                 for axis in 0..3 {
@@ -218,7 +248,8 @@ impl Observer for Recorder {
     fn frame(&mut self, report: &FrameReport) {
         use freespace::health::TrackingState;
         // The first frame has nothing to be tracked against: its pose is the origin.
-        let is_tracked = report.outcome.estimate.state != TrackingState::DeadReckoning || self.tracked_frames == 0;
+        let is_tracked =
+            report.outcome.estimate.state != TrackingState::DeadReckoning || self.tracked_frames == 0;
         self.tracked_frames += u64::from(is_tracked);
         self.recording.frame(&FrameRecord {
             index: usize::try_from(report.index).unwrap_or(usize::MAX),
@@ -290,7 +321,11 @@ impl Progress {
 pub(super) fn check_apart(source: &Path, out: &Path) -> Result<(), BadInput> {
     let same = matches!((source.canonicalize(), out.canonicalize()), (Ok(a), Ok(b)) if a == b);
     if same {
-        return Err(BadInput::of_file(out, "is the folder that is replayed", "give another folder with --out"));
+        return Err(BadInput::of_file(
+            out,
+            "is the folder that is replayed",
+            "give another folder with --out",
+        ));
     }
     Ok(())
 }

@@ -178,16 +178,26 @@ fn print_grid(score: &grid::GridScore, range_m: f64) {
 fn wheels(log: &Path, config: &Path, json: bool) -> Result<(), Failure> {
     let Wheels::Can(wheels) = Config::load(config)?.wheels() else {
         let message = format!("{} describes no CAN message", config.display());
-        return Err(BadInput::new(message, "set source = \"can\", dbc, message and signals in [wheels]").into());
+        return Err(BadInput::new(
+            message,
+            "set source = \"can\", dbc, message and signals in [wheels]",
+        )
+        .into());
     };
     let decoder = WheelDecoder::open(&wheels.dbc, &wheels.mapping()).map_err(Failure::bad_input)?;
-    let options = CandumpOptions { interface: None, offset_micros: wheels.offset_micros() };
+    let options = CandumpOptions {
+        interface: None,
+        offset_micros: wheels.offset_micros(),
+    };
     let readings = CandumpWheels::open(log, &decoder, &options).map_err(Failure::bad_input)?;
     let mut odometer = WheelOdometer::new(wheels.odometer);
     for reading in readings.readings() {
         odometer.push(*reading);
     }
-    let distance_m = odometer.newest().and_then(|stamp| odometer.travel_at(stamp)).map_or(0.0, |t| t.distance_m);
+    let distance_m = odometer
+        .newest()
+        .and_then(|stamp| odometer.travel_at(stamp))
+        .map_or(0.0, |t| t.distance_m);
     let first = readings.readings().first().map_or(Micros(0), WheelReading::stamp);
     let seconds = odometer.newest().map_or(0.0, |stamp| stamp.seconds_since(first));
     let (count, rejected) = (readings.readings().len(), odometer.rejected());

@@ -78,7 +78,10 @@ fn open_wheels(args: &ReplayArgs, config: &Config) -> Result<Option<WheelInputs>
         return Ok(None);
     };
     let decoder = WheelDecoder::open(&wheels.dbc, &wheels.mapping()).map_err(Failure::bad_input)?;
-    let options = CandumpOptions { interface: None, offset_micros: wheels.offset_micros() };
+    let options = CandumpOptions {
+        interface: None,
+        offset_micros: wheels.offset_micros(),
+    };
     let readings = CandumpWheels::open(log, &decoder, &options).map_err(Failure::bad_input)?;
     Ok(Some((Box::new(readings), wheels.odometer)))
 }
@@ -89,7 +92,13 @@ fn open_wheels(args: &ReplayArgs, config: &Config) -> Result<Option<WheelInputs>
 /// Bad input, before anything is written; or a folder that cannot be written to.
 pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     drive::check_apart(&args.source, &args.out)?;
-    let ReplayInputs { mut config, frames, camera, key_frames, reference } = open_inputs(args)?;
+    let ReplayInputs {
+        mut config,
+        frames,
+        camera,
+        key_frames,
+        reference,
+    } = open_inputs(args)?;
     let (wheels, odometer) = open_wheels(args, &config)?.unzip();
     let segmenter = drive::open_network(&config)?;
     config.crf.ablation = match args.ablate {
@@ -105,8 +114,10 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     };
     let recording = Recording::create(&args.out, title)?;
     let engine = segmenter.name().to_owned();
-    let names: BTreeMap<u64, String> =
-        frames.listing().map(|(index, name, _)| (index as u64, name.to_owned())).collect();
+    let names: BTreeMap<u64, String> = frames
+        .listing()
+        .map(|(index, name, _)| (index as u64, name.to_owned()))
+        .collect();
     let progress = Progress::new(frames.len());
     let mut recorder = Recorder::new(recording, &pipeline, names, progress);
     let devices = Devices {
@@ -115,7 +126,14 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         segmenter,
         tiles: drive::tiles(&config),
     };
-    let summary = drive::run(Setup { config: pipeline, devices }, args.pace, &mut recorder)?;
+    let summary = drive::run(
+        Setup {
+            config: pipeline,
+            devices,
+        },
+        args.pace,
+        &mut recorder,
+    )?;
     let (recording, counts) = recorder.into_parts(&summary)?;
     let poses: Vec<_> = recording.poses().collect();
     let truth = reference.compare(poses, &recording.mask_folder())?;

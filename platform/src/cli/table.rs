@@ -15,15 +15,28 @@ pub(super) fn print(report: &Report, engine: &str, out: &Path, as_json: bool) {
     let met = report.key_frames - report.deadline_misses;
     line("deadlines met", format!("{met} of {}", report.key_frames));
     if let Some(latency) = report.capture_to_publish_ms {
-        let text = format!("p50 {:.0}  p99 {:.0}  max {:.0} ms", latency.p50, latency.p99, latency.max);
+        let text = format!(
+            "p50 {:.0}  p99 {:.0}  max {:.0} ms",
+            latency.p50, latency.p99, latency.max
+        );
         line("capture to publish", text);
     }
-    let slowest: Vec<String> =
-        report.stages_ms.iter().map(|(stage, times)| format!("{stage} {:.1}", times.p50)).collect();
+    let slowest: Vec<String> = report
+        .stages_ms
+        .iter()
+        .map(|(stage, times)| format!("{stage} {:.1}", times.p50))
+        .collect();
     line("stages, median ms", slowest.join("  "));
-    let levels: Vec<String> = report.levels.iter().map(|(level, count)| format!("{level} {count}")).collect();
+    let levels: Vec<String> = report
+        .levels
+        .iter()
+        .map(|(level, count)| format!("{level} {count}"))
+        .collect();
     line("quality", levels.join("  "));
-    let frames = format!("{} tracked of {}, {} dropped", report.tracked_frames, report.frames, report.dropped_frames);
+    let frames = format!(
+        "{} tracked of {}, {} dropped",
+        report.tracked_frames, report.frames, report.dropped_frames
+    );
     line("frames", frames);
     if let Some(allocations) = report.allocations_after_start {
         line("allocations", format!("{allocations} after start"));

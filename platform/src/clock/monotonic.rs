@@ -17,7 +17,10 @@ pub struct MonotonicClock {
 
 impl Default for MonotonicClock {
     fn default() -> Self {
-        Self { origin: Instant::now(), offset_micros: Arc::new(AtomicU64::new(0)) }
+        Self {
+            origin: Instant::now(),
+            offset_micros: Arc::new(AtomicU64::new(0)),
+        }
     }
 }
 
@@ -49,6 +52,9 @@ impl MonotonicClock {
 
 impl Clock for MonotonicClock {
     fn now(&self) -> Micros {
-        Micros(self.elapsed().wrapping_add(self.offset_micros.load(Ordering::Acquire)))
+        Micros(
+            self.elapsed()
+                .wrapping_add(self.offset_micros.load(Ordering::Acquire)),
+        )
     }
 }

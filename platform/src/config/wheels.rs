@@ -154,7 +154,10 @@ impl CanWheels {
     #[must_use]
     pub fn mapping(&self) -> WheelMapping {
         let owned = |names: [&str; 4]| names.map(str::to_owned);
-        let (forward, backward) = self.direction.as_ref().map_or((1, 2), |d| (d.forward, d.backward));
+        let (forward, backward) = self
+            .direction
+            .as_ref()
+            .map_or((1, 2), |d| (d.forward, d.backward));
         WheelMapping {
             message: self.message.clone(),
             signals: owned(self.signals.names()),

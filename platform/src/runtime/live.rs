@@ -15,9 +15,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounde
 use freespace::deadline::{Announcement, Publisher, Verdict};
 use freespace::frame::Camera;
 use freespace::grid::GridStage;
-use freespace::pipeline::{
-    EmitTask, FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace,
-};
+use freespace::pipeline::{EmitTask, FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace};
 use freespace::port::{CameraAnswer, CameraPort, Clock, FrameBuffer, WheelPort};
 use freespace::space::Micros;
 
@@ -40,7 +38,12 @@ enum News {
 /// What the observer hears.
 enum Observation {
     Frame(FrameReport),
-    KeyFrame { job: Option<Box<KeyFrameJob>>, output: Box<KeyFrameOutput>, latency_micros: u64, is_miss: bool },
+    KeyFrame {
+        job: Option<Box<KeyFrameJob>>,
+        output: Box<KeyFrameOutput>,
+        latency_micros: u64,
+        is_miss: bool,
+    },
 }
 
 /// Counters that several threads add to.
@@ -61,7 +64,10 @@ struct Pool<T> {
 
 impl<T> Clone for Pool<T> {
     fn clone(&self) -> Self {
-        Self { give: self.give.clone(), take: self.take.clone() }
+        Self {
+            give: self.give.clone(),
+            take: self.take.clone(),
+        }
     }
 }
 
@@ -86,12 +92,18 @@ impl<T> Pool<T> {
 ///
 /// # Errors
 /// A thread could not be started, or ended by a panic.
-pub fn run_live(setup: Setup, stop: &Arc<AtomicBool>, observer: &mut dyn Observer) -> std::io::Result<RunSummary> {
+pub fn run_live(
+    setup: Setup,
+    stop: &Arc<AtomicBool>,
+    observer: &mut dyn Observer,
+) -> std::io::Result<RunSummary> {
     let Setup { config, devices } = setup;
     let clock = MonotonicClock::default();
     let counters = Counters::default();
     let buffers = Pool::filled(FRAME_BUFFERS, Box::<FrameBuffer>::default);
-    let jobs = Pool::filled(CIRCULATING, || KeyFrameJob::new(config.camera.width, config.camera.height));
+    let jobs = Pool::filled(CIRCULATING, || {
+        KeyFrameJob::new(config.camera.width, config.camera.height)
+    });
     let outputs = Pool::filled(CIRCULATING, || KeyFrameOutput::new(&config));
     let lessons = Pool::filled(2, Lesson::new);
     let (frame_to, frames) = bounded::<Box<FrameBuffer>>(1);
@@ -110,7 +122,12 @@ pub fn run_live(setup: Setup, stop: &Arc<AtomicBool>, observer: &mut dyn Observe
         publisher: Publisher::new(&config.slices),
         emit: EmitTask::new(&config.camera, &config.slices),
         camera: config.camera,
-        carrier: GridStage::new(&config.camera, config.grid, config.working_size.0, config.working_size.1),
+        carrier: GridStage::new(
+            &config.camera,
+            config.grid,
+            config.working_size.0,
+            config.working_size.1,
+        ),
         last: KeyFrameOutput::new(&config),
         has_last: false,
         deadline_micros: config.slices.deadline_micros,
@@ -178,7 +195,11 @@ fn spawn<'scope, 'env>(
     name: &str,
     body: impl FnOnce() + Send + 'scope,
 ) -> std::io::Result<()> {
-    thread::Builder::new().name(name.to_owned()).stack_size(4 << 20).spawn_scoped(scope, body).map(drop)
+    thread::Builder::new()
+        .name(name.to_owned())
+        .stack_size(4 << 20)
+        .spawn_scoped(scope, body)
+        .map(drop)
 }
 
 /// Lets a thread allocate what its first blocking wait needs, before it counts as real-time.
@@ -201,7 +222,12 @@ fn observe(
     for observation in seen {
         match observation {
             Observation::Frame(report) => observer.frame(&report),
-            Observation::KeyFrame { job, output, latency_micros, is_miss } => {
+            Observation::KeyFrame {
+                job,
+                output,
+                latency_micros,
+                is_miss,
+            } => {
                 observer.key_frame(&KeyFrameReport {
                     index: output.frame,
                     job: job.as_deref(),
@@ -235,7 +261,9 @@ impl CameraThread<'_> {
         let mut is_first = true;
         while !self.stop.load(Ordering::Relaxed) {
             // Three buffers: one with the frame task, one waiting, so that one is here.
-            let Ok(mut buffer) = self.buffers.take.recv() else { return };
+            let Ok(mut buffer) = self.buffers.take.recv() else {
+                return;
+            };
             match self.camera.next_frame(&mut buffer) {
                 CameraAnswer::End => return,
                 CameraAnswer::Lost => {
@@ -290,7 +318,9 @@ struct FrameThread<'a> {
 
 impl FrameThread<'_> {
     fn run(mut self) {
-        let Ok(mut job) = self.jobs.take.recv() else { return };
+        let Ok(mut job) = self.jobs.take.recv() else {
+            return;
+        };
         warm_up_waiting();
         let _scope = RealTimeScope::enter();
         while let Ok(buffer) = self.frames.recv() {
@@ -302,7 +332,9 @@ impl FrameThread<'_> {
                 let until = buffer.stamp.plus(WHEEL_LOOKAHEAD_MICROS);
                 wheels.readings_until(until, &mut |reading| self.task.wheel(reading));
             }
-            let stepped = self.task.step(&buffer.raw(), buffer.key_frame_wanted, &mut job, &self.clock);
+            let stepped = self
+                .task
+                .step(&buffer.raw(), buffer.key_frame_wanted, &mut job, &self.clock);
             let (index, stamp) = (buffer.index, buffer.stamp);
             self.buffers.put(buffer);
             let Ok(outcome) = stepped else {
@@ -311,7 +343,11 @@ impl FrameThread<'_> {
             };
             self.counters.frames.fetch_add(1, Ordering::Relaxed);
             // A full channel means a stalled observer: the frame's report is lost, the drive goes on.
-            let _ = self.seen.try_send(Observation::Frame(FrameReport { index, stamp, outcome }));
+            let _ = self.seen.try_send(Observation::Frame(FrameReport {
+                index,
+                stamp,
+                outcome,
+            }));
             if outcome.is_key_frame {
                 job.frame = index;
                 job = self.hand_over(job);
@@ -360,14 +396,18 @@ impl KeyFrameThread {
         warm_up_waiting();
         let _scope = RealTimeScope::enter();
         while let Ok(mut job) = self.queue.recv() {
-            let (Ok(mut output), Ok(mut lesson)) = (self.outputs.take.try_recv(), self.lessons.take.recv()) else {
+            let (Ok(mut output), Ok(mut lesson)) = (self.outputs.take.try_recv(), self.lessons.take.recv())
+            else {
                 // Every output is still with the observer: the publisher's timer answers this key frame.
                 FrameTask::recycle(&mut job);
                 self.jobs.put(job);
                 continue;
             };
-            self.task.step(&job, &mut self.network, &self.clock, &mut output, &mut lesson);
-            if let Err(TrySendError::Full(lesson) | TrySendError::Disconnected(lesson)) = self.lesson_to.try_send(lesson) {
+            self.task
+                .step(&job, &mut self.network, &self.clock, &mut output, &mut lesson);
+            if let Err(TrySendError::Full(lesson) | TrySendError::Disconnected(lesson)) =
+                self.lesson_to.try_send(lesson)
+            {
                 self.lessons.put(lesson);
             }
             if self.news.send(News::Answered(job, output)).is_err() {
@@ -428,7 +468,8 @@ impl PublisherThread<'_> {
     fn take_answer(&mut self, mut job: Box<KeyFrameJob>, output: Box<KeyFrameOutput>) {
         self.last.copy_from(&output);
         let world_from_vehicle = self.camera.world_from_vehicle(&output.world_from_camera);
-        self.carrier.adopt(&output.grid, &world_from_vehicle, output.stamp);
+        self.carrier
+            .adopt(&output.grid, &world_from_vehicle, output.stamp);
         self.has_last = true;
         match self.publisher.answer(output.sequence) {
             Verdict::Publish => self.publish(Some(job), output),
@@ -460,9 +501,18 @@ impl PublisherThread<'_> {
         let latency_micros = self.clock.now().since(output.stamp);
         let is_miss = job.is_none() || latency_micros > self.deadline_micros;
         self.counters.key_frames.fetch_add(1, Ordering::Relaxed);
-        self.counters.misses.fetch_add(u64::from(is_miss), Ordering::Relaxed);
-        let observation = Observation::KeyFrame { job, output, latency_micros, is_miss };
-        if let Err(TrySendError::Full(lost) | TrySendError::Disconnected(lost)) = self.seen.try_send(observation) {
+        self.counters
+            .misses
+            .fetch_add(u64::from(is_miss), Ordering::Relaxed);
+        let observation = Observation::KeyFrame {
+            job,
+            output,
+            latency_micros,
+            is_miss,
+        };
+        if let Err(TrySendError::Full(lost) | TrySendError::Disconnected(lost)) =
+            self.seen.try_send(observation)
+        {
             self.counters.unobserved.fetch_add(1, Ordering::Relaxed);
             if let Observation::KeyFrame { job, output, .. } = lost {
                 if let Some(mut job) = job {

@@ -50,7 +50,11 @@ pub fn run_in_lockstep(setup: Setup, observer: &mut dyn Observer) -> RunSummary 
             continue;
         };
         summary.frames += 1;
-        observer.frame(&FrameReport { index: buffer.index, stamp: buffer.stamp, outcome });
+        observer.frame(&FrameReport {
+            index: buffer.index,
+            stamp: buffer.stamp,
+            outcome,
+        });
         if !outcome.is_key_frame {
             continue;
         }

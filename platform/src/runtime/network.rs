@@ -69,7 +69,10 @@ impl InlineNetwork {
     #[must_use]
     pub fn new(segmenter: Box<dyn Segmenter>, config: &PipelineConfig, tiles: &TileConfig) -> Self {
         let image = RgbImage::new(config.camera.width, config.camera.height);
-        Self { network: TiledNetwork::new(segmenter, config, tiles), image }
+        Self {
+            network: TiledNetwork::new(segmenter, config, tiles),
+            image,
+        }
     }
 }
 
@@ -122,7 +125,12 @@ impl ThreadedNetwork {
         thread::Builder::new().name("network".to_owned()).spawn(move || {
             for mut task in queue {
                 let begin = Instant::now();
-                let Task { image, probability, answer, .. } = &mut *task;
+                let Task {
+                    image,
+                    probability,
+                    answer,
+                    ..
+                } = &mut *task;
                 *answer = network
                     .run(image, probability)
                     .map(|()| micros_since(begin))
@@ -139,7 +147,14 @@ impl ThreadedNetwork {
             number: 0,
             answer: Err(NetworkMiss::Failed),
         };
-        Ok(Self { idle: Some(Box::new(task)), to, from, clock, number: 0, is_begun: false })
+        Ok(Self {
+            idle: Some(Box::new(task)),
+            to,
+            from,
+            clock,
+            number: 0,
+            is_begun: false,
+        })
     }
 }
 

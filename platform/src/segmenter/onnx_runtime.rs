@@ -16,7 +16,10 @@ use ort::session::builder::GraphOptimizationLevel;
 use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions, Session};
 use ort::value::{Outlet, Tensor, TensorElementType, ValueType};
 
-use super::{Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, input_dims, no_such_name, output_dims};
+use super::{
+    Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, input_dims, no_such_name,
+    output_dims,
+};
 
 /// Folders above the program or the current one in which `.runtime` is looked for: `target/release/deps` is three deep.
 const ANCESTORS: usize = 6;

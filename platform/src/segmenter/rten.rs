@@ -8,7 +8,10 @@ use std::sync::Arc;
 
 use rten::{Dimension, Model, ModelOptions, NodeId, RunOptions, ThreadPool, Value, ValueView};
 
-use super::{Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, input_dims, no_such_name, output_dims};
+use super::{
+    Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, input_dims, no_such_name,
+    output_dims,
+};
 
 /// A loaded model with its threads.
 pub struct RtenSegmenter {

@@ -22,7 +22,12 @@ impl SimEncoders {
     pub fn new(world: Arc<World>, encoders: &Encoders) -> Self {
         let wheels = SimWheels::new(encoders);
         let waiting = wheels.reading(&world, 0);
-        Self { world, wheels, next: 1, waiting }
+        Self {
+            world,
+            wheels,
+            next: 1,
+            waiting,
+        }
     }
 }
 

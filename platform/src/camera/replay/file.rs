@@ -4,9 +4,9 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use freespace::frame::PixelFormat;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
-use super::PixelFormat;
 use crate::bad_input::BadInput;
 use crate::config::ImageSize;
 
@@ -90,7 +90,10 @@ pub(super) fn decode(
     let image = DynamicImage::from_decoder(decoder).map_err(|error| text(&error))?;
     match format {
         PixelFormat::Grey => bytes.copy_from_slice(image.to_luma8().as_raw()),
-        PixelFormat::Rgb24 => bytes.copy_from_slice(image.to_rgb8().as_raw()),
+        // Image files give these two only.
+        PixelFormat::Rgb24 | PixelFormat::Yuyv | PixelFormat::Nv12 => {
+            bytes.copy_from_slice(image.to_rgb8().as_raw())
+        }
     }
     Ok(())
 }

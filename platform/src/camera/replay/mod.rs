@@ -19,30 +19,11 @@ pub use port::ReplayFrames;
 
 use std::path::{Path, PathBuf};
 
+use freespace::frame::PixelFormat;
 use freespace::space::Micros;
 
 use crate::bad_input::BadInput;
 use crate::config::ImageSize;
-
-/// Bytes of a pixel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PixelFormat {
-    /// One luma byte.
-    Grey,
-    /// Red, green, blue.
-    Rgb24,
-}
-
-impl PixelFormat {
-    /// Bytes a pixel.
-    #[must_use]
-    pub const fn channels(self) -> usize {
-        match self {
-            Self::Grey => 1,
-            Self::Rgb24 => 3,
-        }
-    }
-}
 
 /// A decoded frame; borrows the camera's buffer.
 #[derive(Clone, Copy, Debug)]
@@ -53,7 +34,7 @@ pub struct ReplayFrame<'a> {
     pub name: &'a str,
     /// Capture stamp.
     pub stamp: Micros,
-    /// Bytes of a pixel.
+    /// Gray or RGB.
     pub format: PixelFormat,
     /// Width in pixels.
     pub width: usize,
@@ -103,7 +84,7 @@ impl ReplayCamera {
         };
         camera.check_headers(expected)?;
         let first = &camera.entries[0];
-        let size = camera.size.width * camera.size.height * camera.format.channels();
+        let size = camera.size.width * camera.size.height * camera.format.byte_len(1, 1);
         camera.bytes = vec![0; size];
         file::decode(&first.path, camera.size, camera.format, &mut camera.bytes).map_err(|reason| {
             BadInput::of_file(
@@ -202,7 +183,10 @@ impl ReplayCamera {
         self.next += 1;
         if let Err(reason) = file::decode(&entry.path, self.size, self.format, &mut self.bytes) {
             self.dropped += 1;
-            return Some(Err(format!("{}: dropped, cannot be decoded: {reason}", entry.path.display())));
+            return Some(Err(format!(
+                "{}: dropped, cannot be decoded: {reason}",
+                entry.path.display()
+            )));
         }
         let entry = &self.entries[self.next - 1];
         Some(Ok(ReplayFrame {

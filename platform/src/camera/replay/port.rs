@@ -2,7 +2,7 @@
 
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer};
 
-use super::{KeyFrameSchedule, PixelFormat, ReplayCamera};
+use super::{KeyFrameSchedule, ReplayCamera};
 
 /// Frames of a folder, one after the other; lost ones are told apart by their index.
 pub struct ReplayFrames {
@@ -16,13 +16,19 @@ impl ReplayFrames {
     /// All frames of `camera`.
     #[must_use]
     pub const fn new(camera: ReplayCamera, schedule: KeyFrameSchedule) -> Self {
-        Self { camera, schedule, next_index: 0 }
+        Self {
+            camera,
+            schedule,
+            next_index: 0,
+        }
     }
 }
 
 impl CameraPort for ReplayFrames {
     fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
-        let Some(index) = self.camera.next_index() else { return CameraAnswer::End };
+        let Some(index) = self.camera.next_index() else {
+            return CameraAnswer::End;
+        };
         // A file missing from the sequence, and one that cannot be decoded, is one lost frame.
         if self.next_index < index {
             self.next_index += 1;
@@ -39,10 +45,7 @@ impl CameraPort for ReplayFrames {
         };
         buffer.index = frame.index as u64;
         buffer.stamp = frame.stamp;
-        buffer.format = match frame.format {
-            PixelFormat::Grey => freespace::frame::PixelFormat::Grey,
-            PixelFormat::Rgb24 => freespace::frame::PixelFormat::Rgb24,
-        };
+        buffer.format = frame.format;
         (buffer.width, buffer.height) = (frame.width, frame.height);
         buffer.bytes.clear();
         buffer.bytes.extend_from_slice(frame.bytes);

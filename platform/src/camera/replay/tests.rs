@@ -39,7 +39,7 @@ fn open(folder: &tempfile::TempDir) -> Result<ReplayCamera, BadInput> {
 
 fn stamps(camera: &mut ReplayCamera) -> Vec<(usize, u64)> {
     let mut seen = Vec::new();
-    while let Some(frame) = camera.next_frame(|_| {}) {
+    while let Some(Ok(frame)) = camera.next_frame() {
         seen.push((frame.index, frame.stamp.0));
     }
     seen
@@ -83,7 +83,7 @@ fn names_that_are_no_numbers_are_taken_in_order() {
 fn pixels_are_those_of_the_file_and_colour_stays_colour() {
     let gray = kitti([0], 1);
     let mut camera = open(&gray).unwrap();
-    let frame = camera.next_frame(|_| {}).unwrap();
+    let frame = camera.next_frame().unwrap().unwrap();
     assert_eq!((frame.format, frame.bytes.len()), (PixelFormat::Grey, 96 * 64));
     assert_eq!(frame.bytes[5 * 96 + 3], 7 * 3 + 13 * 5);
 
@@ -92,7 +92,7 @@ fn pixels_are_those_of_the_file_and_colour_stays_colour() {
         .save(folder.path().join("a.png"))
         .unwrap();
     let mut camera = ReplayCamera::open(folder.path(), 10.0, None).unwrap();
-    let frame = camera.next_frame(|_| {}).unwrap();
+    let frame = camera.next_frame().unwrap().unwrap();
     assert_eq!(
         (frame.format, &frame.bytes[..4]),
         (PixelFormat::Rgb24, &[10, 20, 30, 10][..])
@@ -110,11 +110,11 @@ fn undecodable_file_in_mid_sequence_is_dropped_and_named() {
     let mut camera = open(&folder).unwrap();
     let mut warnings = Vec::new();
     let mut frames = 0;
-    while camera
-        .next_frame(|warning| warnings.push(warning.to_owned()))
-        .is_some()
-    {
-        frames += 1;
+    while let Some(next) = camera.next_frame() {
+        match next {
+            Ok(_) => frames += 1,
+            Err(warning) => warnings.push(warning),
+        }
     }
     assert_eq!((frames, camera.undecodable()), (2, 1));
     assert!(

@@ -253,8 +253,15 @@ impl Recording {
     ) -> Result<(), RecordingError> {
         let bytes = npy::encode_i8(layout.rows, layout.columns, cells);
         self.folder.file(&format!("truth/grids/{name}.npy"), &bytes)?;
-        self.folder.file(&format!("truth/grids/{name}.json"), &json(layout))?;
-        self.folder.png(&format!("truth/masks/{name}.png"), mask, size.0, size.1, image::ColorType::L8)
+        self.folder
+            .file(&format!("truth/grids/{name}.json"), &json(layout))?;
+        self.folder.png(
+            &format!("truth/masks/{name}.png"),
+            mask,
+            size.0,
+            size.1,
+            image::ColorType::L8,
+        )
     }
 
     /// Writes the true poses, a row a frame, as `eval trajectory` reads them.
@@ -262,17 +269,32 @@ impl Recording {
     /// # Errors
     /// Where the file cannot be written.
     pub fn true_poses(&self, frames: &[FrameRecord]) -> Result<(), RecordingError> {
-        self.folder.file("truth/poses.txt", trajectory::kitti(frames).as_bytes())
+        self.folder
+            .file("truth/poses.txt", trajectory::kitti(frames).as_bytes())
     }
 
     /// Adds the frames to the log that `emitted.candump` becomes, as `candump -L` would have seen them.
     fn log_can(&mut self, record: &KeyFrameRecord<'_>) {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a latency of some milliseconds")]
-        let published = record.stamp.plus((record.publish_latency_ms.max(0.0) * 1e3) as u64);
-        let stamp = if self.is_reproducible { record.stamp } else { published };
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a latency of some milliseconds"
+        )]
+        let published = record
+            .stamp
+            .plus((record.publish_latency_ms.max(0.0) * 1e3) as u64);
+        let stamp = if self.is_reproducible {
+            record.stamp
+        } else {
+            published
+        };
         for frame in record.can_frames {
             let hex: String = frame.data.iter().map(|byte| format!("{byte:02X}")).collect();
-            self.can_log.push_str(&format!("({}) can0 {:03X}#{hex}\n", trajectory::seconds(stamp), frame.id));
+            self.can_log.push_str(&format!(
+                "({}) can0 {:03X}#{hex}\n",
+                trajectory::seconds(stamp),
+                frame.id
+            ));
         }
     }
 

@@ -35,6 +35,7 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
     let mut recording = Recording::create(
         dir,
         RunTitle {
+            is_reproducible: true,
             title: "a <run>".to_owned(),
             deadline_ms: 500.0,
         },
@@ -51,6 +52,7 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
     let cells: Vec<i8> = (0..2400).map(|i| [0, 100, -1][i % 3]).collect();
     for (name, latency, met) in [("000000", 40.0, true), ("000002", 600.0, false)] {
         recording.key_frame(&KeyFrameRecord {
+            can_frames: &[],
             name,
             stamp: Micros(7),
             image: ImageView {
