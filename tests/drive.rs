@@ -40,6 +40,7 @@ impl Triangle {
             height: 60,
             classes: 2,
             road: std::iter::once(0).collect(),
+            vehicle: std::iter::empty().collect(),
             mean: [0.0; 3],
             scale: [1.0; 3],
             order: ChannelOrder::Rgb,

@@ -45,6 +45,7 @@ height = {height}
 [classes]
 names = {names}
 road = ["road"]
+vehicle = ["vehicle"]
 """
 
 

@@ -120,7 +120,7 @@ impl Fusion {
                 // What contradicts the past is news, an obstacle in a free cell as well as road where a car was: it must not be
                 // outvoted.
                 if evidence * cell.log_odds < 0.0 {
-                    cell.log_odds *= 0.25;
+                    cell.log_odds = 0.0;
                 }
                 cell.log_odds = (cell.log_odds + evidence).clamp(-c.limit, c.limit);
                 cell.age_s = 0.0;

@@ -69,6 +69,8 @@ pub struct GridConfig {
     pub max_age_s: f32,
     /// Not-road farther than this behind the road's edge may be hidden by what stands there, and is unknown.
     pub flat_m: f32,
+    /// Height over the road of a vehicle's lower edge in the picture: one sees under it onto the road that it stands on.
+    pub clearance_m: f32,
     /// Distance covered by one image row at which evidence counts half.
     pub row_span_m: f32,
 }
@@ -81,13 +83,14 @@ impl Default for GridConfig {
             side_m: 12.0,
             free_evidence: 2.0,
             occupied_evidence: 2.5,
-            limit: 4.0,
-            unknown_below: 0.4,
+            limit: 3.0,
+            unknown_below: 0.3,
             free_half_life_s: 0.7,
             occupied_half_life_s: 2.0,
             covered_half_life_s: 3.0,
             max_age_s: 5.0,
             flat_m: 4.0,
+            clearance_m: 0.15,
             row_span_m: 2.5,
         }
     }

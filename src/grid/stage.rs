@@ -52,24 +52,25 @@ impl GridStage {
         }
     }
 
-    /// Fuses one key frame. `labels` (1 = road), `confidence` (`P(road)`) and `surface` (of the ray cast) are `[H, W]` at
+    /// Fuses one key frame. `labels` (1 = road), `confidence` (`P(road)`), `vehicle` (probability) and `surface` (of the ray cast) are `[H, W]` at
     /// the CRF resolution; where their size is wrong the grid is moved and aged only.
     pub fn step(
         &mut self,
         labels: &[u8],
         confidence: &[f32],
+        vehicle: &[f32],
         surface: &[u8],
         plane_in_camera: &Plane,
         world_from_vehicle: &Pose,
         stamp: Micros,
     ) -> &Grid {
         let seconds = self.shift(world_from_vehicle, stamp);
-        let whole = [labels.len(), confidence.len(), surface.len()] == [self.pixels; 3];
+        let whole = [labels.len(), confidence.len(), vehicle.len(), surface.len()] == [self.pixels; 4];
         let plane_known =
             plane_in_camera.offset_m > 0.0 && plane_in_camera.normal.iter().all(|v| v.is_finite());
         if whole && plane_known {
             self.view
-                .look(labels, confidence, surface, plane_in_camera, &self.grid);
+                .look(labels, confidence, vehicle, surface, plane_in_camera, &self.grid);
             self.fusion.fuse(
                 seconds,
                 Some((&self.view.evidence, &self.view.sight)),

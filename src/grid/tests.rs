@@ -81,7 +81,15 @@ fn look(
 ) {
     let (labels, confidence, surface) = picture(camera, at);
     let plane = camera.mount.plane_in_camera();
-    stage.step(&labels, &confidence, &surface, &plane, pose, Micros(micros));
+    stage.step(
+        &labels,
+        &confidence,
+        &vec![0.0; labels.len()],
+        &surface,
+        &plane,
+        pose,
+        Micros(micros),
+    );
 }
 
 #[test]
@@ -256,11 +264,21 @@ fn garbage_is_not_free() {
     };
     let pixels = WIDTH * HEIGHT;
     let (labels, confidence, surface) = (vec![1; pixels], vec![f32::NAN; pixels], vec![1; pixels]);
-    stage.step(&labels, &confidence, &surface, &nan, &Pose::identity(), Micros(1));
+    let vehicle = vec![0.0; labels.len()];
+    stage.step(
+        &labels,
+        &confidence,
+        &vehicle,
+        &surface,
+        &nan,
+        &Pose::identity(),
+        Micros(1),
+    );
     assert!(stage.grid().occupancy.iter().all(|&o| o == -1));
     stage.step(
         &labels[1..],
         &confidence,
+        &vehicle,
         &surface,
         &camera.mount.plane_in_camera(),
         &driven(f64::NAN, 0.0),

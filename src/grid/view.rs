@@ -108,13 +108,22 @@ impl CellView {
         &mut self,
         labels: &[u8],
         confidence: &[f32],
+        vehicle: &[f32],
         surface: &[u8],
         plane_in_camera: &Plane,
         grid: &Grid,
     ) {
         self.project(plane_in_camera, grid);
         for bearing in 0..BEARINGS {
-            self.walk(bearing, labels, confidence, surface, plane_in_camera, grid);
+            self.walk(
+                bearing,
+                labels,
+                confidence,
+                vehicle,
+                surface,
+                plane_in_camera,
+                grid,
+            );
         }
     }
 
@@ -159,6 +168,7 @@ impl CellView {
         bearing: usize,
         labels: &[u8],
         confidence: &[f32],
+        vehicle: &[f32],
         surface: &[u8],
         plane: &Plane,
         grid: &Grid,
@@ -168,6 +178,8 @@ impl CellView {
         // Range of the nearest edge of what is not road now; none while on road.
         let mut edge_m: Option<f32> = None;
         let mut box_foot_m: Option<f32> = None;
+        // Range of the last vehicle's lower edge on the plane.
+        let mut bumper_m: Option<f32> = None;
         for place in self.first[bearing] as usize..self.first[bearing + 1] as usize {
             let cell = self.order[place] as usize;
             let pixel = self.pixel[cell];
@@ -189,6 +201,18 @@ impl CellView {
             let near = 1.0 / (1.0 + (row_span_m / self.config.row_span_m).powi(2));
             // The label is the energy's verdict; a network that doubts it weakens it to a half at most.
             let certainty = |p: f32| (2.0 * p - 1.0).max(0.5) * near;
+            // The label weighed the box already: a box is wider than what stands in it.
+            if labels[pixel] == 1 {
+                (edge_m, box_foot_m, bumper_m) = (None, None, None);
+                self.sight[cell] = Sight::Seen(Reason::Plane);
+                self.evidence[cell] = -self.config.free_evidence * certainty(p);
+                continue;
+            }
+            if vehicle[pixel] > 0.5 && bumper_m.is_none() {
+                bumper_m = Some(range_m);
+                let foot_m = range_m * (1.0 - self.config.clearance_m / height_m).max(0.0);
+                self.close_under(bearing, place, foot_m, grid);
+            }
             if surface[pixel] == Surface::Box as u8 {
                 // The ray ends at the box: the first such cell is its foot, give or take a cell's diagonal.
                 let foot_m = *box_foot_m.get_or_insert(range_m);
@@ -205,18 +229,29 @@ impl CellView {
                 self.sight[cell] = Sight::Hidden;
                 continue;
             }
-            if labels[pixel] == 1 {
-                edge_m = None;
-                self.sight[cell] = Sight::Seen(Reason::Plane);
-                self.evidence[cell] = -self.config.free_evidence * certainty(p);
-                continue;
-            }
             let edge = *edge_m.get_or_insert(range_m);
             if range_m - edge <= self.config.flat_m {
                 self.sight[cell] = Sight::Seen(Reason::Network);
                 self.evidence[cell] = self.config.occupied_evidence * certainty(1.0 - p);
             } else {
                 self.sight[cell] = Sight::Hidden;
+            }
+        }
+    }
+
+    /// Takes back what was called free between a vehicle's foot and the place where its bumper meets the plane in the picture:
+    /// one sees under a bumper onto the road that the car stands on.
+    fn close_under(&mut self, bearing: usize, end: usize, foot_m: f32, grid: &Grid) {
+        for place in (self.first[bearing] as usize..end).rev() {
+            let cell = self.order[place] as usize;
+            let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
+            let range_m = (x - self.mount_ahead_m as f32).hypot(y - self.mount_left_m as f32);
+            if range_m < foot_m {
+                break;
+            }
+            if self.sight[cell] == Sight::Seen(Reason::Plane) {
+                self.sight[cell] = Sight::Hidden;
+                self.evidence[cell] = 0.0;
             }
         }
     }

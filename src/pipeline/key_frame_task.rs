@@ -291,6 +291,7 @@ impl KeyFrameTask {
         let grid = self.grid.step(
             &output.labels,
             &output.confidence,
+            &self.probability.vehicle,
             self.priors.surface(),
             &plane_in_camera,
             &self.camera.world_from_vehicle(&world_from_camera),

@@ -46,6 +46,8 @@ pub struct NetworkShape {
     pub classes: usize,
     /// Which of them are road; they add up.
     pub road: heapless::Vec<usize, MAX_CLASSES>,
+    /// Which of them are vehicles; they add up. Their lower edge in the picture is over the ground, not on it.
+    pub vehicle: heapless::Vec<usize, MAX_CLASSES>,
     /// Subtracted from each channel (0..255), in the network's channel order.
     pub mean: [f32; 3],
     /// Multiplied then, in the network's channel order.
@@ -87,6 +89,8 @@ pub struct RoadProbability {
     pub road: Box<[f32]>,
     /// `max S_notR(p)`: the largest probability among the other classes.
     pub not_road: Box<[f32]>,
+    /// Probability of a vehicle, all such classes summed; zero where the network knows none.
+    pub vehicle: Box<[f32]>,
 }
 
 impl RoadProbability {
@@ -99,6 +103,7 @@ impl RoadProbability {
             height,
             road: half(),
             not_road: half(),
+            vehicle: vec![0.0; width * height].into_boxed_slice(),
         }
     }
 
@@ -126,6 +131,7 @@ pub(crate) mod tests {
             height: 24,
             classes: 3,
             road: heapless::Vec::from_iter([2]),
+            vehicle: heapless::Vec::from_iter([1]),
             mean: [0.0; 3],
             scale: [1.0; 3],
             order: ChannelOrder::Rgb,

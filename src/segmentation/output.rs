@@ -25,10 +25,10 @@ pub struct OutputResampler {
     shape: NetworkShape,
     columns: heapless::Vec<TileColumns, { crate::budget::MAX_TILES }>,
     rows: Box<[Taps]>,
-    /// Road and not road of one tile at the network's resolution, `[out_height, out_width, 2] f32`.
-    reduced: Box<[[f32; 2]]>,
+    /// Road, not road and vehicle of one tile at the network's resolution, `[out_height, out_width, 3] f32`.
+    reduced: Box<[[f32; 3]]>,
     /// One row of it, rows already mixed.
-    line: Box<[[f32; 2]]>,
+    line: Box<[[f32; 3]]>,
 }
 
 impl OutputResampler {
@@ -57,8 +57,8 @@ impl OutputResampler {
             shape: shape.clone(),
             columns,
             rows: taps(0.0, shape.out_height as f32, shape.out_height, height),
-            reduced: vec![[0.0; 2]; shape.out_width * shape.out_height].into_boxed_slice(),
-            line: vec![[0.0; 2]; shape.out_width].into_boxed_slice(),
+            reduced: vec![[0.0; 3]; shape.out_width * shape.out_height].into_boxed_slice(),
+            line: vec![[0.0; 3]; shape.out_width].into_boxed_slice(),
         }
     }
 
@@ -72,30 +72,35 @@ impl OutputResampler {
         if index == 0 {
             probability.road.fill(0.0);
             probability.not_road.fill(0.0);
+            probability.vehicle.fill(0.0);
         }
         self.reduce(softmax);
         let out_width = self.shape.out_width;
         let columns = &self.columns[index];
         for (y, row_taps) in self.rows.iter().enumerate() {
-            self.line.fill([0.0; 2]);
+            self.line.fill([0.0; 3]);
             for (source_y, weight) in row_taps.iter() {
                 let row = &self.reduced[source_y * out_width..][..out_width];
                 for (sum, value) in self.line.iter_mut().zip(row) {
                     sum[0] += weight * value[0];
                     sum[1] += weight * value[1];
+                    sum[2] += weight * value[2];
                 }
             }
             let start = y * width + columns.first;
             let road = &mut probability.road[start..][..columns.taps.len()];
             let not_road = &mut probability.not_road[start..][..columns.taps.len()];
+            let vehicle = &mut probability.vehicle[start..][..columns.taps.len()];
             for (x, column_taps) in columns.taps.iter().enumerate() {
-                let mut sum = [0.0; 2];
+                let mut sum = [0.0; 3];
                 for (source_x, weight) in column_taps.iter() {
                     sum[0] += weight * self.line[source_x][0];
                     sum[1] += weight * self.line[source_x][1];
+                    sum[2] += weight * self.line[source_x][2];
                 }
                 road[x] += columns.weight[x] * sum[0];
                 not_road[x] += columns.weight[x] * sum[1];
+                vehicle[x] += columns.weight[x] * sum[2];
             }
         }
     }
@@ -104,7 +109,7 @@ impl OutputResampler {
     fn reduce(&mut self, softmax: &[f32]) {
         let count = self.reduced.len();
         assert!(softmax.len() == self.shape.classes * count);
-        self.reduced.fill([0.0; 2]);
+        self.reduced.fill([0.0; 3]);
         for (class, plane) in softmax.chunks_exact(count.max(1)).enumerate() {
             if self.shape.is_road(class) {
                 for (sum, &value) in self.reduced.iter_mut().zip(plane) {
@@ -115,12 +120,17 @@ impl OutputResampler {
                     sum[1] = sum[1].max(value);
                 }
             }
+            if self.shape.vehicle.contains(&class) {
+                for (sum, &value) in self.reduced.iter_mut().zip(plane) {
+                    sum[2] += value;
+                }
+            }
         }
         for sum in &mut self.reduced {
-            *sum = if sum[0].is_finite() && sum[1].is_finite() {
-                [sum[0].clamp(0.0, 1.0), sum[1].clamp(0.0, 1.0)]
+            *sum = if sum.iter().all(|value| value.is_finite()) {
+                sum.map(|value| value.clamp(0.0, 1.0))
             } else {
-                [0.5; 2]
+                [0.5, 0.5, 0.0]
             };
         }
     }

@@ -6,6 +6,7 @@
 
 mod camera;
 mod document;
+mod stages;
 mod wheels;
 
 pub use camera::{CameraSection, LensModel, LensSection};
@@ -241,7 +242,7 @@ impl Config {
                 "pixels",
             )?;
         }
-        Ok(())
+        self.check_stages()
     }
 
     /// Slices of the deadline.

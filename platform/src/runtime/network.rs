@@ -189,6 +189,7 @@ impl RoadNetwork for ThreadedNetwork {
         if answer.is_ok() {
             out.road.copy_from_slice(&task.probability.road);
             out.not_road.copy_from_slice(&task.probability.not_road);
+            out.vehicle.copy_from_slice(&task.probability.vehicle);
         }
         self.idle = Some(task);
         answer

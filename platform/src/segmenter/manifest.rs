@@ -66,6 +66,8 @@ pub struct Manifest {
     pub classes: Vec<String>,
     /// Indices of the classes that are road, ascending.
     pub road: Vec<usize>,
+    /// Indices of the classes that are vehicles, ascending; none where the network knows none.
+    pub vehicle: Vec<usize>,
 }
 
 /// Why a manifest, or the model that it describes, is refused.
@@ -126,6 +128,8 @@ struct Document {
 struct Classes {
     names: Vec<String>,
     road: Vec<String>,
+    #[serde(default)]
+    vehicle: Vec<String>,
 }
 
 impl Manifest {
@@ -157,6 +161,7 @@ impl Manifest {
         check.side("output.height", document.output.height)?;
         check.normalisation(&document.input)?;
         let road = check.classes(&document.classes)?;
+        let vehicle = check.vehicles(&document.classes)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         Ok(Self {
             path: path.to_owned(),
@@ -167,6 +172,7 @@ impl Manifest {
             output: document.output,
             classes: document.classes.names,
             road,
+            vehicle,
         })
     }
 
@@ -178,6 +184,7 @@ impl Manifest {
             height: self.input.height,
             classes: self.classes.len(),
             road: self.road.iter().copied().collect(),
+            vehicle: self.vehicle.iter().copied().collect(),
             mean: self.input.mean,
             scale: self.input.scale,
             order: self.input.order,
@@ -293,6 +300,25 @@ impl Check<'_> {
             );
         }
         Ok(road)
+    }
+
+    fn vehicles(&self, classes: &Classes) -> Result<Vec<usize>, ManifestError> {
+        let names = &classes.names;
+        let odd = |name: &&String| !names.contains(name) || classes.road.contains(name);
+        if let Some(stranger) = classes.vehicle.iter().find(odd) {
+            let problem = format!(
+                "\"{stranger}\" is none of classes.names, or is road: {}",
+                names.join(", ")
+            );
+            return self.refuse(
+                "classes.vehicle",
+                problem,
+                "name vehicle classes as in classes.names, or none",
+            );
+        }
+        Ok((0..names.len())
+            .filter(|class| classes.vehicle.contains(&names[*class]))
+            .collect())
     }
 }
 
