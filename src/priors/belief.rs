@@ -304,7 +304,8 @@ mod tests {
             lane > 0.8 && kerb < 0.45 && beyond < 0.5,
             "{lane} {kerb} {beyond}"
         );
-        assert!(other_side > 0.55, "{other_side}");
+        // A bare plane says nothing, for a lawn is one too.
+        assert!((0.4..0.6).contains(&other_side), "{other_side}");
     }
 
     #[test]

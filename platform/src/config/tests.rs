@@ -198,10 +198,16 @@ fn contradictions_are_refused() {
             "`width` and `height` of [camera] belong together",
         ),
         (
-            "toyota",
-            "mps_per_unit = 0.44704",
+            "kitti",
+            "metres_per_count = 0.0203125",
             "",
-            "`wheels.mps_per_unit` is missing",
+            "`wheels.metres_per_count` is missing",
+        ),
+        (
+            "kitti",
+            "[network]",
+            "[priors.belief]\nwitness_against = 3.0\n[network]",
+            "`priors.belief.witness_against` is 3",
         ),
     ];
     for (name, from, to, message) in cases {

@@ -95,7 +95,7 @@ proptest! {
         prop_assert!(near(STATUS_ID, "Quality", f64::from(level), 0.0));
         prop_assert!(near(STATUS_ID, "Faults", f64::from(faults), 0.0));
         prop_assert!(near(STATUS_ID, "Scale", 2.0, 0.0));
-        prop_assert!(near(STATUS_ID, "Tracking", 3.0, 0.0));
+        prop_assert!(near(STATUS_ID, "Tracking", 0.0, 0.0));
         prop_assert!(near(STATUS_ID, "Sequence", 1.0, 0.0));
         prop_assert!(near(TIMING_ID, "CaptureToPublish", late_micros as f64 * 1e-3, 0.1));
         prop_assert!(near(TIMING_ID, "Used", 87.6, 0.1));
