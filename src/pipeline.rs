@@ -2,7 +2,7 @@
 //!
 //! Two tasks share the work. [`FrameTask`] takes every frame through *frame* and *track*, and collects the views of a key
 //! frame in a [`KeyFrameJob`]. [`KeyFrameTask`] takes a job through *map*, *priors*, *segmentation*, *crf* and *grid*; its
-//! [`KeyFrameOutput`] goes to the publisher, its [`MapUpdate`] back to the frame task. Jobs and outputs are boxes that
+//! [`KeyFrameOutput`] goes to the publisher, its [`Lesson`] back to the frame task. Jobs and outputs are boxes that
 //! circulate: the caller owns them, so the tasks may run on two threads or, for a reproducible replay, on one.
 //!
 //! Bound: nothing is allocated after construction; refinement stops at its slice of [`Slices`] or at its cap in

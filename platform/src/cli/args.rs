@@ -174,7 +174,7 @@ Examples:
     Wheels {
         /// candump log.
         log: PathBuf,
-        /// Configuration whose [wheels] describe the message.
+        /// Configuration whose `wheels` table describes the message.
         #[arg(long, value_name = "FILE")]
         config: PathBuf,
         /// Print JSON.

@@ -1,6 +1,6 @@
 //! The wheel encoders behind one small port: readings in the order of their stamps.
 //!
-//! In: CAN frames, from a log here. Out: [`WheelReading`]s, front left, front right, rear left, rear right.
+//! In: CAN frames, from a log here. Out: [`WheelReading`](freespace::track::WheelReading)s, front left, front right, rear left, rear right.
 //! Which message and signals they come from is a [`WheelMapping`] over a DBC file; [`dbc`] makes a decoder of it.
 
 pub mod candump;
