@@ -78,10 +78,10 @@ impl Default for BeliefConfig {
             cell_m: 0.25,
             ahead_m: 60.0,
             side_m: 12.0,
-            plane_log_odds: 0.0,
+            plane_log_odds: -0.15,
             height_tolerance_m: 0.3,
             blocked_log_odds: -3.0,
-            path_log_odds: 2.0,
+            path_log_odds: 1.2,
             path_half_m: 1.6,
             path_length_m: 25.0,
             lateral_log_odds: -0.3,
@@ -301,11 +301,11 @@ mod tests {
             raster.at(8.0, 4.0),
         );
         assert!(
-            lane > 0.8 && kerb < 0.45 && beyond < 0.5,
+            lane > 0.65 && kerb < 0.45 && beyond < 0.5,
             "{lane} {kerb} {beyond}"
         );
-        // A bare plane says nothing, for a lawn is one too.
-        assert!((0.4..0.6).contains(&other_side), "{other_side}");
+        // A bare plane says next to nothing, for a lawn is one too.
+        assert!((0.35..0.55).contains(&other_side), "{other_side}");
     }
 
     #[test]

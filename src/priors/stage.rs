@@ -312,8 +312,9 @@ impl PriorsStage {
     /// Moves the plane's expectation on and reads the path's curvature off the last two poses.
     fn predict(&mut self, world_from_camera: &Pose, stamp: Micros) {
         let Some(past) = self.past else { return };
-        self.filter.predict(stamp.seconds_since(past.stamp));
         let past_from_now = past.world_from_camera.inverse() * world_from_camera;
+        self.filter.turn(&past_from_now.rotation.inverse());
+        self.filter.predict(stamp.seconds_since(past.stamp));
         let up = self.filter.plane().normal;
         let turned = past_from_now.rotation * self.forward;
         let yaw_rad = up

@@ -202,15 +202,18 @@ fn spawn<'scope, 'env>(
         .map(drop)
 }
 
+/// Long enough that a wait spins no more, but parks: only then is all allocated that a wait needs.
+const WARM_UP: Duration = Duration::from_millis(5);
+
 /// Lets a thread allocate what its first blocking wait needs, before it counts as real-time.
 fn warm_up_waiting() {
     let (_keep, never) = bounded::<()>(1);
-    let _ = never.recv_timeout(Duration::from_micros(1));
+    let _ = never.recv_timeout(WARM_UP);
 }
 
 /// Lets a channel allocate its list of waiting threads, before any thread counts as real-time; it must be empty.
 pub(super) fn warm_up<T>(receiver: &Receiver<T>) {
-    let _ = receiver.recv_timeout(Duration::from_micros(1));
+    let _ = receiver.recv_timeout(WARM_UP);
 }
 
 fn observe(

@@ -1,10 +1,10 @@
 //! The plane from key frame to key frame.
 //!
 //! In: plane fits. Out: what to expect next. Invariant: without fits the expectation returns to the mount's plane, with the
-//! mount's uncertainty: pitch within a second (springs), height over a minute. Cost: constant.
+//! mount's uncertainty: pitch within seconds, height over a minute. Cost: constant.
 //! Source: an Ornstein-Uhlenbeck process a slope, whose stationary spread is the mount's.
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 #[allow(
     unused_imports,
     reason = "float methods come from std where that feature is on"
@@ -14,8 +14,8 @@ use num_traits::Float as _;
 use super::{PlaneConfig, PlaneFit, Slopes, plane_of, slopes_of};
 use crate::space::{Mount, Plane};
 
-/// Memory of distance, pitch and roll in seconds: load changes, springs, road crown.
-const MEMORY_S: [f64; 3] = [60.0, 1.5, 3.0];
+/// Memory of distance, pitch and roll in seconds: load changes, hills, road crown. Springs are followed by [`PlaneFilter::turn`].
+const MEMORY_S: [f64; 3] = [60.0, 3.0, 4.0];
 
 /// Expected slopes of the road plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,6 +43,19 @@ impl PlaneFilter {
             stationary,
             mean: nominal,
             variance: stationary,
+        }
+    }
+
+    /// Turns the expectation with the camera: a body that nods on its springs turns against the road, not the road.
+    pub fn turn(&mut self, now_from_past: &UnitQuaternion<f64>) {
+        let plane = self.plane();
+        let turned = Plane {
+            normal: now_from_past * plane.normal,
+            ..plane
+        };
+        if let Some(slopes) = slopes_of(&turned).filter(|slopes| slopes.iter().all(|slope| slope.is_finite()))
+        {
+            self.mean = slopes;
         }
     }
 
