@@ -202,8 +202,9 @@ fn spawn<'scope, 'env>(
         .map(drop)
 }
 
-/// Long enough that a wait spins no more, but parks: only then is all allocated that a wait needs.
-const WARM_UP: Duration = Duration::from_millis(5);
+/// Long enough that a wait parks, for only then is all allocated that a wait needs; a wait yields several times before, and on a
+/// busy machine each yield may cost a time slice.
+const WARM_UP: Duration = Duration::from_millis(100);
 
 /// Lets a thread allocate what its first blocking wait needs, before it counts as real-time.
 fn warm_up_waiting() {
@@ -213,10 +214,7 @@ fn warm_up_waiting() {
 
 /// Lets a channel allocate its list of waiting threads, before any thread counts as real-time; it must be empty.
 pub(super) fn warm_up<T>(receiver: &Receiver<T>) {
-    // More than once: a thread that is preempted before it parks has timed out without allocating anything.
-    for _ in 0..3 {
-        let _ = receiver.recv_timeout(WARM_UP);
-    }
+    let _ = receiver.recv_timeout(WARM_UP);
 }
 
 fn observe(
