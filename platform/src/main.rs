@@ -5,11 +5,14 @@ use std::process::ExitCode;
 use clap::Parser as _;
 use freespace_platform::cli::{self, Cli, Command};
 use freespace_platform::runtime::allocation::CountingAllocator;
+use freespace_platform::runtime::rights;
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 fn main() -> ExitCode {
+    // Where it is refused, `freespace doctor` and a live run tell it; nothing has been started that could depend on it.
+    let _ = rights::settle_allocator();
     let result = match Cli::parse().command {
         Command::Eval(command) => cli::run_eval(&command),
         Command::Replay(args) => cli::run_replay(&args),

@@ -6,10 +6,12 @@
 
 mod camera;
 mod document;
+mod runtime;
 mod stages;
 mod wheels;
 
 pub use camera::{CameraSection, LensModel, LensSection};
+pub use runtime::{PolicyName, RuntimeSection, ThreadSection};
 pub use wheels::{CanWheels, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection};
 
 use std::path::{Path, PathBuf};
@@ -47,6 +49,9 @@ pub struct Config {
     /// When a grid must be out.
     #[serde(default)]
     pub deadline: DeadlineSection,
+    /// What the threads ask of the kernel.
+    #[serde(default)]
+    pub runtime: RuntimeSection,
     /// Keypoints and frame poses.
     #[serde(default)]
     pub track: TrackConfig,
@@ -233,6 +238,7 @@ impl Config {
             1.0..=promise_ms,
             "ms",
         )?;
+        self.runtime.check()?;
         if let Some(size) = self.working_image {
             within("working_image.width", size.width as f64, 64.0..=1920.0, "pixels")?;
             within(

@@ -8,6 +8,7 @@ use freespace::frame::Lens;
 use nalgebra::Vector2;
 
 use super::*;
+use crate::runtime::rights::{Cpus, Policy, RealTimeConfig, ThreadRole};
 
 const SHIPPED: [(&str, &str); 4] = [
     ("kitti", include_str!("../../../config/kitti.toml")),
@@ -229,7 +230,7 @@ fn known_keys(text: &str) -> BTreeSet<String> {
 fn schema_has_the_keys_that_the_program_knows() {
     let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
     let text = format!(
-        "{}\n[working_image]\nwidth = 480\nheight = 360\n",
+        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n",
         shipped("kitti")
     );
     let cases = [
@@ -247,6 +248,13 @@ fn schema_has_the_keys_that_the_program_knows() {
         ("/network", "[network]\nzzz = 1", "[network]"),
         ("/key_frames", "[key_frames]\nzzz = 1", "[key_frames]"),
         ("/deadline", "[deadline]\nzzz = 1", "[deadline]"),
+        ("/runtime", "[runtime]\nzzz = 1", "[runtime]"),
+        ("/runtime/camera", "[runtime.camera]\nzzz = 1", "[runtime.camera]"),
+        (
+            "/runtime/monitor",
+            "[runtime.monitor]\nzzz = 1",
+            "[runtime.monitor]",
+        ),
         ("/working_image", "[working_image]\nzzz = 1", "[working_image]"),
     ];
     for (pointer, with, place) in cases {
@@ -259,6 +267,53 @@ fn schema_has_the_keys_that_the_program_knows() {
             .cloned()
             .collect();
         assert_eq!(described, known_keys(&text.replacen(place, with, 1)), "{place}");
+    }
+}
+
+#[test]
+fn threads_keep_their_defaults_but_for_what_is_written() {
+    let with = |table: &str| parse(&format!("{}\n{table}", shipped("demo")));
+    let plain = with("").unwrap().real_time();
+    assert_eq!(plain, RealTimeConfig::default());
+    let text = "[runtime]\nlock_memory = false\n[runtime.key_frame]\npolicy = \"rr\"\ncpus = [1, 3]\n\
+                [runtime.camera]\npriority = 12\nstack_kib = 2048\n[runtime.network]\npolicy = \"normal\"\n";
+    let config = with(text).unwrap().real_time();
+    let of = |role| *config.of(role);
+    assert!(!config.lock_memory);
+    assert_eq!(of(ThreadRole::KeyFrame).policy, Policy::RoundRobin(40));
+    assert_eq!(of(ThreadRole::KeyFrame).cpus, Cpus(0b1010));
+    assert_eq!(
+        (of(ThreadRole::Camera).policy, of(ThreadRole::Camera).stack_kib),
+        (Policy::Fifo(12), 2048)
+    );
+    assert_eq!(of(ThreadRole::Network).policy, Policy::Normal);
+    assert_eq!(of(ThreadRole::Publisher), *plain.of(ThreadRole::Publisher));
+    for (table, message) in [
+        (
+            "[runtime.frame]\npriority = 100\n",
+            "`runtime.frame.priority` is 100",
+        ),
+        (
+            "[runtime.frame]\npolicy = \"normal\"\npriority = 5\n",
+            "the policy is normal",
+        ),
+        (
+            "[runtime.monitor]\npolicy = \"fifo\"\n",
+            "it may not be real-time",
+        ),
+        ("[runtime.network]\ncpus = [64]\n", "`runtime.network.cpus` is 64"),
+        (
+            "[runtime.camera]\nstack_kib = 16\n",
+            "`runtime.camera.stack_kib` is 16",
+        ),
+        (
+            "[runtime.camera]\npolicy = \"batch\"\n",
+            "unknown value \"batch\"",
+        ),
+    ] {
+        let error = with(table).unwrap_err();
+        assert!(error.message().contains(message), "{table}: {error}");
+        assert!(!error.fix().is_empty());
     }
 }
 

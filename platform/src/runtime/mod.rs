@@ -3,7 +3,10 @@
 pub mod allocation;
 mod live;
 mod lockstep;
+pub mod memory;
 mod network;
+pub mod rights;
+pub mod supervision;
 
 pub use live::run_live;
 pub use lockstep::run_in_lockstep;
