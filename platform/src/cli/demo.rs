@@ -8,7 +8,7 @@ use freespace::pipeline::Cadence;
 use freespace::port::WheelPort;
 use freespace::space::{Micros, Pose};
 
-use super::drive::{self, Progress, Recorder};
+use super::drive::{self, Progress, Recorded, Recorder};
 use super::{DemoArgs, Failure, Pace, table};
 use crate::camera::{SimFrames, seconds_at};
 use crate::config::{Config, Wheels};
@@ -86,7 +86,6 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         cells: CellCount::default(),
         pixels: PixelCount::default(),
         masks: 0,
-        poses: Vec::new(),
     };
     let devices = Devices {
         camera: Box::new(frames),
@@ -103,10 +102,14 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         &mut judge,
     )?;
     let truth = judge.truth();
-    let true_poses: Vec<FrameRecord> = judge.poses.iter().map(|(_, truth)| *truth).collect();
-    let (recording, counts) = judge.recorder.into_parts(&summary)?;
-    recording.true_poses(&true_poses)?;
-    let report = recording.finish(&counts, Some(truth))?;
+    let Recorded {
+        mut recording,
+        counts,
+        statistics,
+    } = judge.recorder.finish(&summary)?;
+    let score = trajectory::compare(&recording.poses()?, &recording.true_poses()?);
+    let truth = score.map_or(truth, |score| truth.with_trajectory(&score));
+    let report = recording.finish(&counts, &statistics, Some(truth))?;
     table::print(&report, &engine, &args.out, args.json);
     Ok(())
 }
@@ -132,7 +135,6 @@ struct Judge {
     cells: CellCount,
     pixels: PixelCount,
     masks: usize,
-    poses: Vec<(Pose, FrameRecord)>,
 }
 
 impl Judge {
@@ -141,19 +143,11 @@ impl Judge {
             .world_from_camera(seconds_at(stamp), &self.camera.mount)
     }
 
+    /// Comparison of grids and masks.
     fn truth(&self) -> Truth {
-        let (estimated, true_poses): (Vec<Pose>, Vec<Pose>) = self
-            .poses
-            .iter()
-            .map(|(pose, truth)| (*pose, truth.world_from_camera))
-            .unzip();
-        let mut truth = Truth::default()
+        Truth::default()
             .with_grid(&self.cells)
-            .with_road(&self.pixels, self.masks);
-        if let Some(score) = trajectory::compare(&estimated, &true_poses) {
-            truth = truth.with_trajectory(&score);
-        }
-        truth
+            .with_road(&self.pixels, self.masks)
     }
 
     fn true_grid(&self, stamp: Micros) -> Vec<i8> {
@@ -187,9 +181,11 @@ impl Judge {
             &cells,
             &RANGE_M,
         );
-        let found = self.recorder.full_size_mask(report.output);
         // Both have the camera's size, and every value is 0 or 1.
-        if self.pixels.add(&found, &mask, TruthKind::World).is_ok() {
+        if (self.pixels)
+            .add(self.recorder.mask(), &mask, TruthKind::World)
+            .is_ok()
+        {
             self.masks += 1;
         }
         self.recorder.record_truth(report.index, &cells, &mask);
@@ -203,13 +199,12 @@ impl Observer for Judge {
             stamp: report.stamp,
             world_from_camera: self.true_pose(report.stamp),
         };
-        self.poses
-            .push((report.outcome.estimate.world_from_camera, truth));
+        self.recorder.record_true_pose(&truth);
         self.recorder.frame(report);
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
-        self.judge(report);
         self.recorder.key_frame(report);
+        self.judge(report);
     }
 }
