@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use freespace::frame::{Camera, RgbImage};
+use freespace::frame::Camera;
 use freespace::pipeline::Cadence;
 use freespace::port::WheelPort;
 use freespace::space::{Micros, Pose};
@@ -79,8 +79,8 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let progress = Progress::new(frames.len());
     let mut judge = Judge {
         recorder: Recorder::new(recording, &pipeline, BTreeMap::new(), progress),
-        truth: SimCamera::new(&camera, &Sensor::default()),
-        picture: RgbImage::new(camera.width, camera.height),
+        truth: frames.camera().clone(),
+        mask: vec![0; camera.width * camera.height].into_boxed_slice(),
         world,
         camera,
         cells: CellCount::default(),
@@ -129,7 +129,8 @@ fn shipped(file: &str) -> std::path::PathBuf {
 struct Judge {
     recorder: Recorder,
     truth: SimCamera,
-    picture: RgbImage,
+    /// True road of the last key frame, `[height, width] u8`, 0 or 1.
+    mask: Box<[u8]>,
     world: Arc<World>,
     camera: Camera,
     cells: CellCount,
@@ -162,19 +163,18 @@ impl Judge {
             .free_space_truth(&self.camera, seconds_at(stamp), &spec)
     }
 
-    fn true_mask(&mut self, stamp: Micros) -> Vec<u8> {
-        self.truth
-            .render(&self.world, seconds_at(stamp), &mut self.picture);
-        self.truth
-            .labels()
-            .iter()
-            .map(|label| u8::from(*label == Label::Road as u8))
-            .collect()
+    /// Fills the true mask.
+    fn see(&mut self, stamp: Micros) {
+        self.truth.see(&self.world, seconds_at(stamp));
+        for (road, label) in self.mask.iter_mut().zip(self.truth.labels()) {
+            *road = u8::from(*label == Label::Road as u8);
+        }
     }
 
     fn judge(&mut self, report: &KeyFrameReport<'_>) {
         let stamp = report.output.stamp;
-        let (cells, mask) = (self.true_grid(stamp), self.true_mask(stamp));
+        let cells = self.true_grid(stamp);
+        self.see(stamp);
         self.cells.add(
             self.recorder.layout(),
             &report.output.grid.occupancy,
@@ -183,12 +183,12 @@ impl Judge {
         );
         // Both have the camera's size, and every value is 0 or 1.
         if (self.pixels)
-            .add(self.recorder.mask(), &mask, TruthKind::World)
+            .add(self.recorder.mask(), &self.mask, TruthKind::World)
             .is_ok()
         {
             self.masks += 1;
         }
-        self.recorder.record_truth(report.index, &cells, &mask);
+        self.recorder.record_truth(report.index, &cells, &self.mask);
     }
 }
 

@@ -52,10 +52,7 @@ impl LatencyHistogram {
     /// # Panics
     /// Never: the bounds are constants, and valid.
     #[must_use]
-    #[expect(
-        clippy::expect_used,
-        reason = "constant arguments; a test constructs one"
-    )]
+    #[expect(clippy::expect_used, reason = "constant arguments; a test constructs one")]
     pub fn new() -> Self {
         let bins = Histogram::new_with_bounds(SHORTEST_MICROS, LONGEST_MICROS, DIGITS);
         let mut histogram = Self {
@@ -129,7 +126,9 @@ mod tests {
 
     #[test]
     fn percentiles_are_samples_but_for_a_thousandth() {
-        let found = filled((1..=1000).rev().map(|ms| ms * 1000)).percentiles().unwrap();
+        let found = filled((1..=1000).rev().map(|ms| ms * 1000))
+            .percentiles()
+            .unwrap();
         for (found, exact) in [(found.p50, 500.0), (found.p99, 990.0), (found.p99_9, 999.0)] {
             assert!(found >= exact && found <= exact * 1.001, "{found} for {exact}");
         }

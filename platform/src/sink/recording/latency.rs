@@ -10,7 +10,7 @@
     reason = "pixel arithmetic: coordinates are bounded by the picture"
 )]
 
-use super::canvas::{Anchor, Canvas, Colour, text_width};
+use super::canvas::{Anchor, Canvas, Colour, mixed, text_width};
 use crate::statistics::{DriveStatistics, Percentiles};
 
 const WIDTH: usize = 1200;
@@ -72,7 +72,7 @@ pub(super) fn draw(statistics: &DriveStatistics, deadline_ms: f64, pixels: &mut 
     canvas.text((1160.0, 42.0), Anchor::Right, TEXT, &said, colour);
     if let Some(times) = statistics.capture_to_publish().percentiles() {
         let axis = LogAxis::around(statistics, times.max, deadline_ms);
-        histogram(&mut canvas, statistics, &axis);
+        histogram(&mut canvas, statistics, deadline_ms, &axis);
         marks(&mut canvas, &times, deadline_ms, &axis);
         stages(&mut canvas, statistics);
     } else {
@@ -113,7 +113,10 @@ impl LogAxis {
     /// Holds every sample, and the deadline where there is one.
     fn around(statistics: &DriveStatistics, max_ms: f64, deadline_ms: f64) -> Self {
         let min_micros = statistics.capture_to_publish().min_micros().unwrap_or(1);
-        let low_ms = round_number((min_micros.max(100) as f64 * 1e-3).min(0.5 * max_ms.max(1.0)), false);
+        let low_ms = round_number(
+            (min_micros.max(100) as f64 * 1e-3).min(0.5 * max_ms.max(1.0)),
+            false,
+        );
         let high_ms = round_number((1.15 * max_ms).max(1.05 * deadline_ms).max(4.0 * low_ms), true);
         Self { low_ms, high_ms }
     }
@@ -139,7 +142,8 @@ impl LogAxis {
     }
 }
 
-fn histogram(canvas: &mut Canvas<'_>, statistics: &DriveStatistics, axis: &LogAxis) {
+/// Key frames over time; those after the deadline in its colour.
+fn histogram(canvas: &mut Canvas<'_>, statistics: &DriveStatistics, deadline_ms: f64, axis: &LogAxis) {
     let mut bins = [0_u64; BINS];
     statistics.capture_to_publish().for_each(|micros, count| {
         let bin = (axis.share(micros as f64 * 1e-3) * BINS as f64) as usize;
@@ -159,7 +163,9 @@ fn histogram(canvas: &mut Canvas<'_>, statistics: &DriveStatistics, axis: &LogAx
     for (bin, count) in bins.iter().enumerate().filter(|(_, count)| **count > 0) {
         let x = PLOT.left + width * bin as f64;
         let y = PLOT.bottom - (height * *count as f64 / top).max(LEAST_BAR_PX);
-        canvas.rectangle((x + 1.0, y), (x + width, PLOT.bottom), BAR, 8);
+        let is_late = deadline_ms > 0.0 && bin as f64 / BINS as f64 >= axis.share(deadline_ms);
+        let colour = if is_late { LATE } else { BAR };
+        canvas.rectangle((x + 1.0, y), (x + width, PLOT.bottom), colour, 8);
     }
     let mut free_from = f64::MIN;
     for tick in axis.ticks() {
@@ -176,41 +182,82 @@ fn histogram(canvas: &mut Canvas<'_>, statistics: &DriveStatistics, axis: &LogAx
             free_from = x + half + 14.0;
         }
     }
-    let under = (PLOT.left - 12.0, PLOT.bottom + 28.0);
+    let under = (PLOT.left - 30.0, PLOT.bottom + 28.0);
     canvas.text(under, Anchor::Right, TEXT, "ms", DIM);
+}
+
+/// A time to be marked above the plot.
+struct Mark {
+    ms: f64,
+    name: String,
+    colour: Colour,
+}
+
+impl Mark {
+    fn label(&self) -> String {
+        format!("{} {}", self.name, short(self.ms))
+    }
+}
+
+/// What is marked, in ascending order; what reads the same is one mark.
+fn marked(times: &Percentiles, deadline_ms: f64) -> Vec<Mark> {
+    let mut marks: Vec<Mark> = Vec::new();
+    let named = [
+        (times.p50, "p50"),
+        (times.p99, "p99"),
+        (times.p99_9, "p99.9"),
+        (times.max, "max"),
+    ];
+    for (ms, name) in named {
+        match marks.last_mut() {
+            Some(last) if short(last.ms) == short(ms) => {
+                last.name = format!("{}, {name}", last.name);
+                last.ms = ms;
+            }
+            _ => marks.push(Mark {
+                ms,
+                name: name.to_owned(),
+                colour: MARK,
+            }),
+        }
+    }
+    if deadline_ms > 0.0 {
+        marks.push(Mark {
+            ms: deadline_ms,
+            name: "deadline".to_owned(),
+            colour: LATE,
+        });
+    }
+    marks.sort_by(|a, b| a.ms.total_cmp(&b.ms));
+    marks
 }
 
 /// Percentiles, maximum and deadline as lines with labels above the plot.
 fn marks(canvas: &mut Canvas<'_>, times: &Percentiles, deadline_ms: f64, axis: &LogAxis) {
-    let mut marks = vec![
-        (times.p50, format!("p50 {}", short(times.p50)), MARK),
-        (times.p99, format!("p99 {}", short(times.p99)), MARK),
-        (times.p99_9, format!("p99.9 {}", short(times.p99_9)), MARK),
-        (times.max, format!("max {}", short(times.max)), MARK),
-    ];
-    if deadline_ms > 0.0 {
-        marks.push((deadline_ms, format!("deadline {}", short(deadline_ms)), LATE));
-    }
-    marks.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut ends = [f64::MIN; LABEL_LINES.len()];
-    for (ms, label, colour) in marks {
-        let x = axis.x(ms);
+    for mark in marked(times, deadline_ms) {
+        let (x, label) = (axis.x(mark.ms), mark.label());
         let half = 0.5 * text_width(&label, TEXT as f64);
         let middle = x.min(PLOT.right - half);
         let free = ends.iter().position(|end| middle - half > *end);
         let line = free.unwrap_or(LABEL_LINES.len() - 1);
         ends[line] = middle + half + 14.0;
-        let y = LABEL_LINES[line];
-        canvas.text((middle, y), Anchor::Middle, TEXT, &label, colour);
-        let is_deadline = colour == LATE;
-        let (dash, gap) = if is_deadline { (7.0, 5.0) } else { (1.0, 2.0) };
-        let mut from = y + 5.0;
+        let (dash, width) = if mark.colour == LATE {
+            (7.0, 2.0)
+        } else {
+            (3.0, 1.0)
+        };
+        let mut from = LABEL_LINES[line] + 5.0;
         while from < PLOT.bottom {
             let to = (from + dash).min(PLOT.bottom);
-            let width = if is_deadline { 2.0 } else { 1.0 };
-            canvas.rectangle((x, from), (x + width, to), colour, 8);
-            from += dash + gap;
+            canvas.rectangle((x, from), (x + width, to), mark.colour, 8);
+            from += dash + 4.0;
         }
+        // The line of a higher label may run through a lower one.
+        let y = LABEL_LINES[line];
+        let (left, right) = (middle - half - 3.0, middle + half + 3.0);
+        canvas.rectangle((left, y - 16.0), (right, y + 4.0), PANEL, 8);
+        canvas.text((middle, y), Anchor::Middle, TEXT, &label, mark.colour);
     }
 }
 
@@ -236,25 +283,37 @@ fn stages(canvas: &mut Canvas<'_>, statistics: &DriveStatistics) {
         };
         canvas.text((x(ms), BARS.bottom + 22.0), Anchor::Middle, TEXT, &label, DIM);
     }
-    canvas.text((BARS.left - 24.0, BARS.bottom + 22.0), Anchor::Right, TEXT, "ms", DIM);
+    canvas.text(
+        (BARS.left - 24.0, BARS.bottom + 22.0),
+        Anchor::Right,
+        TEXT,
+        "ms",
+        DIM,
+    );
     let pitch = (BARS.bottom - BARS.top) / 9.0;
     for (row, (name, times)) in rows.iter().enumerate() {
         let middle = BARS.top + pitch * (row as f64 + 0.5);
         let (top, bottom) = (middle - 8.0, middle + 8.0);
         canvas.text((BARS.left - 14.0, middle + 7.0), Anchor::Right, TEXT, name, INK);
         canvas.rectangle((x(0.0), middle - 1.0), (x(times.max), middle + 1.0), DIM, 8);
-        canvas.rectangle((x(times.max) - 2.0, top + 2.0), (x(times.max), bottom - 2.0), DIM, 8);
-        canvas.rectangle((x(0.0), top), (x(times.p99), bottom), mixed_bar(), 8);
+        canvas.rectangle(
+            (x(times.max) - 2.0, top + 2.0),
+            (x(times.max), bottom - 2.0),
+            DIM,
+            8,
+        );
+        canvas.rectangle((x(0.0), top), (x(times.p99), bottom), mixed(PANEL, BAR, 3), 8);
         canvas.rectangle((x(0.0), top), (x(times.p50), bottom), BAR, 8);
         for ((right, _), ms) in COLUMNS.into_iter().zip([times.p50, times.p99, times.max]) {
-            canvas.text((right, middle + 7.0), Anchor::Right, TEXT, &short(ms), INK);
+            canvas.text(
+                (right, middle + 7.0),
+                Anchor::Right,
+                TEXT,
+                &format!("{ms:.1}"),
+                INK,
+            );
         }
     }
     let levels = format!("quality: {}", statistics.levels().line());
     canvas.text((40.0, HEIGHT as f64 - 24.0), Anchor::Left, TEXT, &levels, DIM);
-}
-
-/// The pale part of a bar.
-fn mixed_bar() -> Colour {
-    super::canvas::mixed(PANEL, BAR, 3)
 }

@@ -90,7 +90,11 @@ fn shown(rows: usize) -> String {
 
 /// A key frame with its pictures.
 fn entry(folder: &OutputFolder, row: &Row) -> String {
-    let picture = |kind: &str| folder.read(&format!("{kind}/{}.png", row.name)).unwrap_or_default();
+    let picture = |kind: &str| {
+        folder
+            .read(&format!("{kind}/{}.png", row.name))
+            .unwrap_or_default()
+    };
     format!(
         "{{\"row\":{},\"road\":{:.4},\"overlay\":\"data:image/jpeg;base64,{}\",\"birdseye\":\"data:image/png;base64,{}\"}}",
         script_json(row),

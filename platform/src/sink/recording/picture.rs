@@ -208,9 +208,7 @@ fn draw_cells(canvas: &mut Canvas<'_>, layout: &GridLayout, cells: &[i8], cell_p
             }
         }
         for copy in 1..cell_px {
-            canvas
-                .pixels
-                .copy_within(top..top + stride, top + copy * stride);
+            canvas.pixels.copy_within(top..top + stride, top + copy * stride);
         }
     }
 }

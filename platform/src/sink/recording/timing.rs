@@ -24,7 +24,10 @@ pub(super) struct TimingFile {
 impl TimingFile {
     /// Writes the heading.
     pub(super) fn new(mut file: LineFile) -> Result<Self, RecordingError> {
-        let stages: String = Stage::ALL.iter().map(|stage| format!(",{}_ms", stage.name())).collect();
+        let stages: String = Stage::ALL
+            .iter()
+            .map(|stage| format!(",{}_ms", stage.name()))
+            .collect();
         file.line(format_args!(
             "name,stamp_s,publish_latency_ms,level,deadline_met{stages}"
         ))?;
@@ -34,7 +37,10 @@ impl TimingFile {
     /// Writes a key frame's row.
     #[expect(clippy::cast_precision_loss, reason = "microseconds of one key frame")]
     pub(super) fn key_frame(&mut self, record: &KeyFrameRecord<'_>) -> Result<(), RecordingError> {
-        let times = record.times.0.map(|micros| format!(",{:.3}", micros as f64 * 1e-3));
+        let times = record
+            .times
+            .0
+            .map(|micros| format!(",{:.3}", micros as f64 * 1e-3));
         self.rows += 1;
         self.file.line(format_args!(
             "{},{},{:.3},{},{}{}",

@@ -53,10 +53,15 @@ impl KittiFile {
     fn rows(&mut self, frame: &FrameRecord) -> io::Result<()> {
         let to = &frame.world_from_camera;
         let first_from_world = *self.first_from_world.get_or_insert_with(|| to.inverse());
-        let gap = self.last.map_or(frame.index + 1, |last| frame.index.saturating_sub(last.index));
+        let gap = self
+            .last
+            .map_or(frame.index + 1, |last| frame.index.saturating_sub(last.index));
         let from = self.last.map_or(*to, |last| last.world_from_camera);
         for part in 1..gap {
-            row(&mut self.file, &(first_from_world * between(&from, to, fraction(part, gap))))?;
+            row(
+                &mut self.file,
+                &(first_from_world * between(&from, to, fraction(part, gap))),
+            )?;
         }
         self.last = Some(*frame);
         row(&mut self.file, &(first_from_world * to))
@@ -105,7 +110,8 @@ impl TumFile {
 
     /// Writes a frame's row.
     pub(super) fn frame(&mut self, frame: &FrameRecord) -> Result<(), RecordingError> {
-        let first_from_world = *(self.first_from_world).get_or_insert_with(|| frame.world_from_camera.inverse());
+        let first_from_world =
+            *(self.first_from_world).get_or_insert_with(|| frame.world_from_camera.inverse());
         let pose = first_from_world * frame.world_from_camera;
         let (p, q) = (pose.translation.vector, pose.rotation.coords);
         self.file.line(format_args!(
