@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use super::*;
+use crate::runtime::allocation::RealTimeScope;
 
 fn publication(level: QualityLevel, latency_micros: u64) -> Publication {
     let mut times = StageTimes::default();
@@ -59,6 +60,19 @@ fn a_miss_is_unknown_until_it_is_blamed() {
     statistics.publication(&publication(QualityLevel::Moved, 480_000));
     statistics.miss(Blame::Camera);
     assert_eq!(statistics.misses_by_stage().0, [("camera", 1), ("crf", 1)]);
+}
+
+#[test]
+fn recording_takes_no_memory() {
+    let mut statistics = DriveStatistics::new();
+    let scope = RealTimeScope::enter();
+    for micros in (0..70_000_000).step_by(70_000) {
+        statistics.frame(TrackingState::Good);
+        statistics.frame_micros(micros);
+        statistics.publication(&publication(QualityLevel::Full, micros));
+        statistics.miss(Blame::Camera);
+    }
+    assert_eq!(scope.allocations(), 0);
 }
 
 #[test]

@@ -21,6 +21,7 @@ mod trajectory;
 pub use picture::{ImageView, Upsampler};
 pub use report::{Report, RunCounts};
 
+use std::io::{self, Write};
 use std::path::Path;
 
 use freespace::emit::CanFrame;
@@ -34,7 +35,7 @@ use crate::eval::{self, Truth, npy};
 use crate::statistics::DriveStatistics;
 use folder::{LineFile, OutputFolder};
 use timing::TimingFile;
-use trajectory::{KittiFile, TumFile};
+use trajectory::{KittiFile, Seconds, TumFile};
 
 /// Why a recording failed.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -263,12 +264,15 @@ impl Recording {
             published
         };
         for frame in record.can_frames {
-            let hex: String = frame.data.iter().map(|byte| format!("{byte:02X}")).collect();
-            self.can_log.line(format_args!(
-                "({}) can0 {:03X}#{hex}",
-                trajectory::seconds(stamp),
-                frame.id
-            ))?;
+            let log = &mut self.can_log;
+            let mut row = || -> io::Result<()> {
+                write!(log, "({}) can0 {:03X}#", Seconds(stamp), frame.id)?;
+                for byte in &frame.data {
+                    write!(log, "{byte:02X}")?;
+                }
+                writeln!(log)
+            };
+            row().map_err(|error| self.can_log.fault(error))?;
         }
         Ok(())
     }

@@ -14,6 +14,7 @@ use serde_json::Value;
 
 use super::*;
 use crate::eval::trajectory::read;
+use crate::runtime::allocation::RealTimeScope;
 use crate::statistics::Publication;
 use freespace::health::{Faults, QualityLevel, ScaleState, TrackingState};
 use freespace::pipeline::Stage;
@@ -236,6 +237,27 @@ fn same_run_gives_the_same_bytes() {
         let bytes = |run: &str| fs::read(parent.path().join(run).join(name)).unwrap();
         assert!(bytes("a") == bytes("b"), "{name}");
     }
+}
+
+#[test]
+fn frames_take_no_memory() {
+    let parent = tempfile::tempdir().unwrap();
+    let mut recording = Recording::create(&parent.path().join("run"), RunTitle::default()).unwrap();
+    let frame = |index: usize| FrameRecord {
+        index,
+        stamp: Micros(index as u64),
+        world_from_camera: pose(index as f64),
+    };
+    recording.frame(&frame(0)).unwrap();
+    recording.true_pose(&frame(0)).unwrap();
+    let scope = RealTimeScope::enter();
+    for index in 1..2000 {
+        recording.frame(&frame(index)).unwrap();
+        recording.true_pose(&frame(index)).unwrap();
+    }
+    assert_eq!(scope.allocations(), 0);
+    drop(scope);
+    assert_eq!(recording.poses().unwrap().len(), 2000);
 }
 
 #[test]

@@ -11,7 +11,7 @@ use freespace::pipeline::Stage;
 use serde::Serialize;
 
 use super::folder::LineFile;
-use super::trajectory::seconds;
+use super::trajectory::Seconds;
 use super::{KeyFrameRecord, RecordingError};
 
 /// The file under way.
@@ -45,7 +45,7 @@ impl TimingFile {
         self.file.line(format_args!(
             "{},{},{:.3},{},{}{}",
             record.name,
-            seconds(record.stamp),
+            Seconds(record.stamp),
             record.publish_latency_ms,
             record.level,
             u8::from(record.deadline_met),

@@ -5,6 +5,7 @@
 //! with their stamps. Both are relative to the first camera, as KITTI's are: its pose is the identity.
 //! Memory: the first and the last frame, and the files' buffers.
 
+use std::fmt;
 use std::io::{self, Write};
 
 use freespace::space::{Micros, Pose};
@@ -18,9 +19,13 @@ pub(super) fn rows_of(pose: &Pose) -> [f64; 12] {
     std::array::from_fn(|i| matrix[(i / 4, i % 4)])
 }
 
-/// Seconds with six decimals, exactly.
-pub(super) fn seconds(stamp: Micros) -> String {
-    format!("{}.{:06}", stamp.0 / 1_000_000, stamp.0 % 1_000_000)
+/// A stamp as seconds with six decimals, exactly.
+pub(super) struct Seconds(pub(super) Micros);
+
+impl fmt::Display for Seconds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{:06}", self.0.0 / 1_000_000, self.0.0 % 1_000_000)
+    }
 }
 
 /// `trajectory.kitti` under way.
@@ -116,7 +121,7 @@ impl TumFile {
         let (p, q) = (pose.translation.vector, pose.rotation.coords);
         self.file.line(format_args!(
             "{} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}",
-            seconds(frame.stamp),
+            Seconds(frame.stamp),
             p.x,
             p.y,
             p.z,
