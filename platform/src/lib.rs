@@ -9,5 +9,6 @@ pub mod eval;
 pub mod runtime;
 pub mod segmenter;
 pub mod sink;
+pub mod statistics;
 pub mod wheels;
 pub mod world;

@@ -54,6 +54,12 @@ impl SimFrames {
         }
     }
 
+    /// The camera, to be cloned for what looks through it too.
+    #[must_use]
+    pub const fn camera(&self) -> &SimCamera {
+        &self.camera
+    }
+
     /// Frames of the whole drive.
     #[must_use]
     pub fn len(&self) -> usize {

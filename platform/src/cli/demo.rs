@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use freespace::frame::{Camera, RgbImage};
+use freespace::frame::Camera;
 use freespace::pipeline::Cadence;
 use freespace::port::WheelPort;
 use freespace::space::{Micros, Pose};
 
-use super::drive::{self, Progress, Recorder};
+use super::drive::{self, Progress, Recorded, Recorder};
 use super::{DemoArgs, Failure, Pace, table};
 use crate::camera::{SimFrames, seconds_at};
 use crate::config::{Config, Wheels};
@@ -79,14 +79,13 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let progress = Progress::new(frames.len());
     let mut judge = Judge {
         recorder: Recorder::new(recording, &pipeline, BTreeMap::new(), progress),
-        truth: SimCamera::new(&camera, &Sensor::default()),
-        picture: RgbImage::new(camera.width, camera.height),
+        truth: frames.camera().clone(),
+        mask: vec![0; camera.width * camera.height].into_boxed_slice(),
         world,
         camera,
         cells: CellCount::default(),
         pixels: PixelCount::default(),
         masks: 0,
-        poses: Vec::new(),
     };
     let devices = Devices {
         camera: Box::new(frames),
@@ -103,10 +102,14 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         &mut judge,
     )?;
     let truth = judge.truth();
-    let true_poses: Vec<FrameRecord> = judge.poses.iter().map(|(_, truth)| *truth).collect();
-    let (recording, counts) = judge.recorder.into_parts(&summary)?;
-    recording.true_poses(&true_poses)?;
-    let report = recording.finish(&counts, Some(truth))?;
+    let Recorded {
+        mut recording,
+        counts,
+        statistics,
+    } = judge.recorder.finish(&summary)?;
+    let score = trajectory::compare(&recording.poses()?, &recording.true_poses()?);
+    let truth = score.map_or(truth, |score| truth.with_trajectory(&score));
+    let report = recording.finish(&counts, &statistics, Some(truth))?;
     table::print(&report, &engine, &args.out, args.json);
     Ok(())
 }
@@ -126,13 +129,13 @@ fn shipped(file: &str) -> std::path::PathBuf {
 struct Judge {
     recorder: Recorder,
     truth: SimCamera,
-    picture: RgbImage,
+    /// True road of the last key frame, `[height, width] u8`, 0 or 1.
+    mask: Box<[u8]>,
     world: Arc<World>,
     camera: Camera,
     cells: CellCount,
     pixels: PixelCount,
     masks: usize,
-    poses: Vec<(Pose, FrameRecord)>,
 }
 
 impl Judge {
@@ -141,19 +144,11 @@ impl Judge {
             .world_from_camera(seconds_at(stamp), &self.camera.mount)
     }
 
+    /// Comparison of grids and masks.
     fn truth(&self) -> Truth {
-        let (estimated, true_poses): (Vec<Pose>, Vec<Pose>) = self
-            .poses
-            .iter()
-            .map(|(pose, truth)| (*pose, truth.world_from_camera))
-            .unzip();
-        let mut truth = Truth::default()
+        Truth::default()
             .with_grid(&self.cells)
-            .with_road(&self.pixels, self.masks);
-        if let Some(score) = trajectory::compare(&estimated, &true_poses) {
-            truth = truth.with_trajectory(&score);
-        }
-        truth
+            .with_road(&self.pixels, self.masks)
     }
 
     fn true_grid(&self, stamp: Micros) -> Vec<i8> {
@@ -168,31 +163,32 @@ impl Judge {
             .free_space_truth(&self.camera, seconds_at(stamp), &spec)
     }
 
-    fn true_mask(&mut self, stamp: Micros) -> Vec<u8> {
-        self.truth
-            .render(&self.world, seconds_at(stamp), &mut self.picture);
-        self.truth
-            .labels()
-            .iter()
-            .map(|label| u8::from(*label == Label::Road as u8))
-            .collect()
+    /// Fills the true mask.
+    fn see(&mut self, stamp: Micros) {
+        self.truth.see(&self.world, seconds_at(stamp));
+        for (road, label) in self.mask.iter_mut().zip(self.truth.labels()) {
+            *road = u8::from(*label == Label::Road as u8);
+        }
     }
 
     fn judge(&mut self, report: &KeyFrameReport<'_>) {
         let stamp = report.output.stamp;
-        let (cells, mask) = (self.true_grid(stamp), self.true_mask(stamp));
+        let cells = self.true_grid(stamp);
+        self.see(stamp);
         self.cells.add(
             self.recorder.layout(),
             &report.output.grid.occupancy,
             &cells,
             &RANGE_M,
         );
-        let found = self.recorder.full_size_mask(report.output);
         // Both have the camera's size, and every value is 0 or 1.
-        if self.pixels.add(&found, &mask, TruthKind::World).is_ok() {
+        if (self.pixels)
+            .add(self.recorder.mask(), &self.mask, TruthKind::World)
+            .is_ok()
+        {
             self.masks += 1;
         }
-        self.recorder.record_truth(report.index, &cells, &mask);
+        self.recorder.record_truth(report.index, &cells, &self.mask);
     }
 }
 
@@ -203,13 +199,12 @@ impl Observer for Judge {
             stamp: report.stamp,
             world_from_camera: self.true_pose(report.stamp),
         };
-        self.poses
-            .push((report.outcome.estimate.world_from_camera, truth));
+        self.recorder.record_true_pose(&truth);
         self.recorder.frame(report);
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
-        self.judge(report);
         self.recorder.key_frame(report);
+        self.judge(report);
     }
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 
 use freespace::frame::Camera;
 use freespace::grid::GridConfig;
-use freespace::pipeline::{Cadence, KeyFrameOutput, PipelineConfig, Stage};
+use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::Clock as _;
 use freespace::segmentation::TileConfig;
 use freespace::track::WheelConfig;
@@ -21,8 +21,9 @@ use crate::eval::grid::GridLayout;
 use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, Setup};
 use crate::segmenter::{self, EngineChoice, Manifest, Segmenter};
 use crate::sink::recording::{
-    FrameRecord, ImageView, KeyFrameRecord, MaskView, Recording, RecordingError, RunCounts,
+    FrameRecord, ImageView, KeyFrameRecord, Recording, RecordingError, RunCounts, Upsampler,
 };
+use crate::statistics::{DriveStatistics, Drops, Publication};
 
 /// The pipeline's settings.
 pub(super) fn pipeline_config(
@@ -94,17 +95,28 @@ pub(super) fn layout(config: &GridConfig) -> GridLayout {
     }
 }
 
-/// Writes what a run gives, and keeps what its report needs.
+/// Writes what a run gives, and counts what its report needs; its memory does not grow with the run.
 pub(super) struct Recorder {
-    pub(super) recording: Recording,
+    recording: Recording,
+    statistics: DriveStatistics,
     camera: Camera,
-    working: (usize, usize),
     layout: GridLayout,
     names: BTreeMap<u64, String>,
-    black: Vec<u8>,
+    /// Stands in for the picture of a key frame that a fallback answered, one byte a pixel.
+    black: Box<[u8]>,
+    upsampler: Upsampler,
+    /// Road of the last key frame, at the size of the camera.
+    mask: Box<[u8]>,
     tracked_frames: u64,
     error: Option<RecordingError>,
     progress: Progress,
+}
+
+/// What is left of a recorder when its run is over.
+pub(super) struct Recorded {
+    pub(super) recording: Recording,
+    pub(super) counts: RunCounts,
+    pub(super) statistics: DriveStatistics,
 }
 
 impl Recorder {
@@ -115,13 +127,16 @@ impl Recorder {
         names: BTreeMap<u64, String>,
         progress: Progress,
     ) -> Self {
+        let size = (config.camera.width, config.camera.height);
         Self {
             recording,
+            statistics: DriveStatistics::new(),
             camera: config.camera,
-            working: config.working_size,
             layout: layout(&config.grid),
             names,
-            black: vec![0; config.camera.width * config.camera.height * 3],
+            black: vec![0; size.0 * size.1].into_boxed_slice(),
+            upsampler: Upsampler::new(config.working_size, size),
+            mask: vec![0; size.0 * size.1].into_boxed_slice(),
             tracked_frames: 0,
             error: None,
             progress,
@@ -133,21 +148,16 @@ impl Recorder {
     }
 
     /// Name of a frame.
-    pub(super) fn name(&self, index: u64) -> String {
+    fn name(&self, index: u64) -> String {
         self.names
             .get(&index)
             .cloned()
             .unwrap_or_else(|| format!("{index:06}"))
     }
 
-    /// An output's labels at the size of the camera, 1 = road.
-    pub(super) fn full_size_mask(&self, output: &KeyFrameOutput) -> Vec<u8> {
-        let mask = MaskView {
-            width: self.working.0,
-            height: self.working.1,
-            labels: &output.labels,
-        };
-        mask.upsampled(self.camera.width, self.camera.height)
+    /// Labels of the key frame seen last, at the size of the camera, 1 = road.
+    pub(super) const fn mask(&self) -> &[u8] {
+        &self.mask
     }
 
     /// Writes what is known to be true of a key frame.
@@ -156,18 +166,35 @@ impl Recorder {
         let written = self
             .recording
             .truth(&self.name(index), &self.layout, cells, mask, size);
+        self.note(written);
+    }
+
+    /// Writes a frame's true pose.
+    pub(super) fn record_true_pose(&mut self, frame: &FrameRecord) {
+        let written = self.recording.true_pose(frame);
+        self.note(written);
+    }
+
+    /// Keeps the first fault: a run goes on, and fails at its end.
+    fn note(&mut self, written: Result<(), RecordingError>) {
         if self.error.is_none() {
             self.error = written.err();
         }
     }
 
     /// The recording and its counts, or the first fault that it met.
-    pub(super) fn into_parts(self, summary: &RunSummary) -> Result<(Recording, RunCounts), Failure> {
+    pub(super) fn finish(mut self, summary: &RunSummary) -> Result<Recorded, Failure> {
         self.progress.end();
         if let Some(error) = self.error {
             return Err(error.into());
         }
+        self.statistics.set_drops(Drops {
+            unobserved: Some(summary.unobserved_key_frames),
+            ..Drops::default()
+        });
         let counts = RunCounts {
+            key_frames: summary.key_frames,
+            deadline_misses: summary.deadline_misses,
             frames: summary.frames,
             tracked_frames: self.tracked_frames,
             dropped_frames: summary.dropped_frames,
@@ -175,36 +202,38 @@ impl Recorder {
                 .then_some(summary.allocations_after_start),
             peak_rss_mb: peak_rss_mb(),
         };
-        Ok((self.recording, counts))
+        Ok(Recorded {
+            recording: self.recording,
+            counts,
+            statistics: self.statistics,
+        })
     }
 
     #[expect(clippy::cast_precision_loss, reason = "milliseconds")]
     fn record(&mut self, report: &KeyFrameReport<'_>) -> Result<(), RecordingError> {
         let output = report.output;
         let name = self.name(report.index);
-        let stages_ms = Stage::ALL.map(|stage| (stage.name(), output.times.of(stage) as f64 * 1e-3));
         let outlines = self.outlines(report);
+        let (channels, bytes) = report
+            .job
+            .map_or((1, &*self.black), |job| (3, job.image.pixels()));
         self.recording.key_frame(&KeyFrameRecord {
             name: &name,
             stamp: output.stamp,
             image: ImageView {
                 width: self.camera.width,
                 height: self.camera.height,
-                channels: 3,
-                bytes: report.job.map_or(&self.black, |job| job.image.pixels()),
+                channels,
+                bytes,
             },
-            mask: MaskView {
-                width: self.working.0,
-                height: self.working.1,
-                labels: &output.labels,
-            },
+            mask: &self.mask,
             layout: self.layout,
             cells: &output.grid.occupancy,
             world_from_vehicle: self.camera.world_from_vehicle(&output.world_from_camera),
             level: output.level.name(),
             deadline_met: !report.is_miss,
             publish_latency_ms: report.latency_micros as f64 * 1e-3,
-            stages_ms: &stages_ms,
+            times: output.times,
             can_frames: &output.can_frames,
             outlines: &outlines,
         })
@@ -251,16 +280,24 @@ impl Observer for Recorder {
         let is_tracked =
             report.outcome.estimate.state != TrackingState::DeadReckoning || self.tracked_frames == 0;
         self.tracked_frames += u64::from(is_tracked);
-        self.recording.frame(&FrameRecord {
+        self.statistics.frame(report.outcome.estimate.state);
+        let written = self.recording.frame(&FrameRecord {
             index: usize::try_from(report.index).unwrap_or(usize::MAX),
             stamp: report.stamp,
             world_from_camera: report.outcome.estimate.world_from_camera,
         });
+        self.note(written);
         self.progress.frame(report.index);
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
+        self.statistics.publication(&Publication::of(
+            report.output,
+            report.latency_micros,
+            report.is_miss,
+        ));
         self.progress.key_frame(report);
+        self.upsampler.upsample(&report.output.labels, &mut self.mask);
         if self.error.is_none() {
             self.error = self.record(report).err();
         }

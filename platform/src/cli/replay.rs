@@ -8,7 +8,7 @@ use freespace::pipeline::Cadence;
 use freespace::port::WheelPort;
 use freespace::track::WheelConfig;
 
-use super::drive::{self, Progress, Recorder};
+use super::drive::{self, Progress, Recorded, Recorder};
 use super::{Ablation, Failure, Pace, ReplayArgs, table};
 use crate::bad_input::BadInput;
 use crate::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera, ReplayFrames};
@@ -134,10 +134,14 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         args.pace,
         &mut recorder,
     )?;
-    let (recording, counts) = recorder.into_parts(&summary)?;
-    let poses: Vec<_> = recording.poses().collect();
+    let Recorded {
+        mut recording,
+        counts,
+        statistics,
+    } = recorder.finish(&summary)?;
+    let poses = recording.poses()?.into_iter().enumerate();
     let truth = reference.compare(poses, &recording.mask_folder())?;
-    let report = recording.finish(&counts, truth)?;
+    let report = recording.finish(&counts, &statistics, truth)?;
     table::print(&report, &engine, &args.out, args.json);
     Ok(())
 }

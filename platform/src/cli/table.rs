@@ -27,12 +27,10 @@ pub(super) fn print(report: &Report, engine: &str, out: &Path, as_json: bool) {
         .map(|(stage, times)| format!("{stage} {:.1}", times.p50))
         .collect();
     line("stages, median ms", slowest.join("  "));
-    let levels: Vec<String> = report
-        .levels
-        .iter()
-        .map(|(level, count)| format!("{level} {count}"))
-        .collect();
-    line("quality", levels.join("  "));
+    line("quality", report.levels.line());
+    if !report.misses_by_stage.0.is_empty() {
+        line("misses blamed on", report.misses_by_stage.line());
+    }
     let frames = format!(
         "{} tracked of {}, {} dropped",
         report.tracked_frames, report.frames, report.dropped_frames

@@ -2,7 +2,7 @@
 //!
 //! In: a [`World`], a time. Out: an RGB or luma frame, and of the same rays the labels and depths. Order: parts into the
 //! depth buffer, then every pixel is shaded once, then lens softness and noise. Motion blurs the road along the way it
-//! runs past. All buffers are allocated by [`SimCamera::new`].
+//! runs past. All buffers are allocated by [`SimCamera::new`], but for one that only gray pictures need; a clone shares the rays.
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -10,6 +10,8 @@
     clippy::cast_possible_wrap,
     reason = "pixel arithmetic: coordinates are bounded by the image"
 )]
+
+use std::sync::Arc;
 
 use freespace::frame::{Camera, GrayImage, RayTable, RgbImage};
 use freespace::space::Pose;
@@ -78,9 +80,9 @@ pub struct SimCamera {
     frame: Frame,
     /// Unit rays in camera space, then in world space, of each span of pixels. Spans run on from row to row; the last
     /// repeats the last pixel, and everything kept for pixels is as long as all spans.
-    rays: Box<[[Lanes; 3]]>,
+    rays: Arc<[[Lanes; 3]]>,
     world_rays: Box<[[Lanes; 3]]>,
-    gain: Box<[f32]>,
+    gain: Arc<[f32]>,
     buffer: DepthBuffer,
     hidden: Box<[[u8; 2]]>,
     labels: Box<[u8]>,
@@ -90,6 +92,7 @@ pub struct SimCamera {
     order: Vec<(f32, u32)>,
     decals: Vec<Decal>,
     raw: RgbImage,
+    /// Only a gray picture is developed here; empty until one is asked for.
     developed: RgbImage,
     tones: Box<[u8; TONES]>,
     noise: Box<[i16]>,
@@ -158,7 +161,7 @@ impl SimCamera {
             order: Vec::new(),
             decals: Vec::new(),
             raw: RgbImage::new(width, height),
-            developed: RgbImage::new(width, height),
+            developed: RgbImage::new(0, 0),
             tones,
             noise: noise(sensor, 3 * width),
             column: vec![0; 3 * width].into_boxed_slice(),
@@ -193,15 +196,23 @@ impl SimCamera {
 
     /// Draws the world at a time into `out`, which has the camera's size.
     pub fn render(&mut self, world: &World, seconds: f64, out: &mut RgbImage) {
+        self.see(world, seconds);
+        self.develop(seconds, out);
+    }
+
+    /// Finds labels and depths at a time without developing a picture.
+    pub fn see(&mut self, world: &World, seconds: f64) {
         self.place(world, seconds);
         self.draw_parts(world, seconds);
         self.shade(world, seconds);
-        self.develop(seconds, out);
     }
 
     /// Draws the world at a time as luma.
     pub fn render_gray(&mut self, world: &World, seconds: f64, out: &mut GrayImage) {
         let mut developed = std::mem::replace(&mut self.developed, RgbImage::new(0, 0));
+        if developed.pixels().is_empty() {
+            developed = RgbImage::new(self.camera.width, self.camera.height);
+        }
         self.render(world, seconds, &mut developed);
         for (luma, p) in out
             .pixels_mut()
@@ -221,7 +232,7 @@ impl SimCamera {
         }
         self.pose = world.world_from_camera(seconds, &self.camera.mount);
         let view = View::new(&self.pose);
-        for (to, from) in self.world_rays.iter_mut().zip(&self.rays) {
+        for (to, from) in self.world_rays.iter_mut().zip(&*self.rays) {
             *to = view.to_world(from);
         }
         let ahead = view.axes[2];

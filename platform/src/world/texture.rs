@@ -3,7 +3,7 @@
 //! A tile is periodic and kept as a rip map: every power of two of shrinking along each axis on its own, so that a road
 //! seen at a grazing angle is averaged along the road and stays sharp across it, and motion blur is a longer footprint.
 //! In: texel coordinates and the footprint in texels. Out: a deviation in `[-1, 1]` from the tile's mean tone.
-//! Cost: one load a sample, for every texel is kept with its three neighbours; 4 MiB a tile. Source: rip maps after Larson
+//! Cost: two loads a sample, for every texel is kept with its right neighbour; 2 MiB a tile. Source: rip maps after Larson
 //! and Shah (1990).
 #![allow(
     clippy::cast_possible_truncation,
@@ -23,31 +23,38 @@ const LEVELS: usize = 9;
 /// One periodic texture at all footprints.
 #[derive(Clone, Debug)]
 pub(super) struct Tile {
-    /// Of each texel: itself, its right neighbour, the two below, from the lowest byte up.
-    quads: Box<[u32]>,
+    /// Of each texel: itself in the low byte, its right neighbour in the high one.
+    pairs: Box<[u16]>,
     offsets: [[u32; LEVELS]; LEVELS],
 }
 
 /// A tile shrunk to one footprint.
 #[derive(Clone, Copy, Debug)]
 struct Plane<'a> {
-    quads: &'a [u32],
+    pairs: &'a [u16],
     shrink: [f32; 2],
     /// Binary logarithm of the width, then of the height.
     bits: [u32; 2],
 }
 
 impl Plane<'_> {
-    /// Index of the quad around a place, and the place's share of the way to the next along both axes.
+    /// Indices of the pairs above and below a place, and the place's share of the way to the next along both axes.
     #[inline(always)]
-    fn locate(&self, u: f32, v: f32) -> (u32, f32, f32) {
+    fn locate(&self, u: f32, v: f32) -> ([u32; 2], f32, f32) {
         // Adding this leaves the whole part in the low bits, for magnitudes below 2^22.
         const WHOLE: f32 = 12_582_912.0;
         let (x, y) = (u * self.shrink[0] - 0.5, v * self.shrink[1] - 0.5);
         let (x0, y0) = (x.floor(), y.floor());
         let column = (x0 + WHOLE).to_bits() & ((1 << self.bits[0]) - 1);
-        let row = (y0 + WHOLE).to_bits() & ((1 << self.bits[1]) - 1);
-        (row << self.bits[0] | column, x - x0, y - y0)
+        let row = |below: u32| ((y0 + WHOLE).to_bits() + below) & ((1 << self.bits[1]) - 1);
+        let at = [0, 1].map(|below| row(below) << self.bits[0] | column);
+        (at, x - x0, y - y0)
+    }
+
+    /// The four texels around a place, from the lowest byte up: two above, two below.
+    #[inline(always)]
+    fn quad(&self, [above, below]: [u32; 2]) -> u32 {
+        u32::from(self.pairs[above as usize]) | u32::from(self.pairs[below as usize]) << 16
     }
 }
 
@@ -84,7 +91,7 @@ impl Tile {
         for x in &mut base {
             *x -= mean as f32;
         }
-        let mut quads = vec![0_u32; total].into_boxed_slice();
+        let mut pairs = vec![0_u16; total].into_boxed_slice();
         let mut rows = base;
         for v in 0..LEVELS {
             let mut columns = rows.clone();
@@ -95,15 +102,9 @@ impl Tile {
                     .iter()
                     .map(|x| (128.5 + 127.0 * x).clamp(0.0, 255.0) as u8)
                     .collect();
-                for (i, quad) in quads[start..start + width * height].iter_mut().enumerate() {
+                for (i, pair) in pairs[start..start + width * height].iter_mut().enumerate() {
                     let (x, y) = (i % width, i / width);
-                    let (right, below) = ((x + 1) % width, (y + 1) % height * width);
-                    *quad = u32::from_le_bytes([
-                        texels[i],
-                        texels[y * width + right],
-                        texels[below + x],
-                        texels[below + right],
-                    ]);
+                    *pair = u16::from_le_bytes([texels[i], texels[y * width + (x + 1) % width]]);
                 }
                 columns = columns.chunks_exact(2).map(|p| 0.5 * (p[0] + p[1])).collect();
             }
@@ -115,7 +116,7 @@ impl Tile {
                 })
                 .collect();
         }
-        Self { quads, offsets }
+        Self { pairs, offsets }
     }
 
     #[inline]
@@ -124,7 +125,7 @@ impl Tile {
         let (level_u, level_v) = (level_u.min(LEVELS - 1), level_v.min(LEVELS - 1));
         let start = self.offsets[level_v][level_u] as usize;
         Plane {
-            quads: &self.quads[start..start + ((SIZE >> level_u) * (SIZE >> level_v))],
+            pairs: &self.pairs[start..start + ((SIZE >> level_u) * (SIZE >> level_v))],
             shrink: [shrink(level_u), shrink(level_v)],
             bits: [SIZE.ilog2() - level_u as u32, SIZE.ilog2() - level_v as u32],
         }
@@ -135,20 +136,20 @@ impl Tile {
     pub(super) fn sample(&self, u: f32, v: f32, level_u: usize, level_v: usize) -> f32 {
         let plane = self.plane(level_u, level_v);
         let (at, fx, fy) = plane.locate(u, v);
-        blend(plane.quads[at as usize], fx, fy)
+        blend(plane.quad(at), fx, fy)
     }
 
     /// The tones at a span of base texels.
     #[inline]
     pub(super) fn span(&self, u: &Lanes, v: &Lanes, level_u: usize, level_v: usize) -> Lanes {
         let plane = self.plane(level_u, level_v);
-        let (mut at, mut fx, mut fy) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
+        let (mut at, mut fx, mut fy) = ([[0; 2]; LANES], [0.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
             (at[i], fx[i], fy[i]) = plane.locate(u[i], v[i]);
         }
         let mut quads = [0; LANES];
         for i in 0..LANES {
-            quads[i] = plane.quads[at[i] as usize];
+            quads[i] = plane.quad(at[i]);
         }
         lanes(|i| blend(quads[i], fx[i], fy[i]))
     }

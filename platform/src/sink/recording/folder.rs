@@ -1,7 +1,8 @@
 //! The output folder: taken safely, filled beside its final place, published at the end.
 
-use std::fs;
-use std::io::BufWriter;
+use std::fmt;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -14,7 +15,7 @@ use crate::bad_input::BadInput;
 const PARTIAL: &str = ".partial";
 
 /// Folders and files of a recording; the report is last, for it says that the recording is complete.
-const ENTRIES: [&str; 11] = [
+const ENTRIES: [&str; 12] = [
     "masks",
     "overlays",
     "birdseye",
@@ -24,6 +25,7 @@ const ENTRIES: [&str; 11] = [
     "trajectory.kitti",
     "trajectory.tum",
     "timing.csv",
+    "latency.png",
     "index.html",
     "report.json",
 ];
@@ -43,7 +45,7 @@ impl OutputFolder {
             check_ours(dir)?;
         }
         let partial = dir.join(PARTIAL);
-        let refused = |error: std::io::Error| {
+        let refused = |error: io::Error| {
             let fix = "name a folder after --out that you may write to";
             BadInput::of_file(dir, format!("cannot be made: {error}"), fix)
         };
@@ -70,6 +72,18 @@ impl OutputFolder {
         fs::write(&path, bytes).map_err(|error| RecordingError::write(&path, error))
     }
 
+    /// A file that is written as the run goes on.
+    pub(super) fn lines(&self, name: &str) -> Result<LineFile, RecordingError> {
+        let path = self.prepared(name)?;
+        match File::create(&path) {
+            Ok(file) => Ok(LineFile {
+                file: BufWriter::new(file),
+                path,
+            }),
+            Err(error) => Err(RecordingError::write(&path, error)),
+        }
+    }
+
     /// The path of a file whose folder exists.
     fn prepared(&self, name: &str) -> Result<PathBuf, RecordingError> {
         let path = self.partial.join(name);
@@ -92,12 +106,12 @@ impl OutputFolder {
         color: ColorType,
     ) -> Result<(), RecordingError> {
         let path = self.prepared(name)?;
-        let fault = |error: std::io::Error| RecordingError::write(&path, error);
-        let file = BufWriter::new(fs::File::create(&path).map_err(fault)?);
+        let fault = |error: io::Error| RecordingError::write(&path, error);
+        let file = BufWriter::new(File::create(&path).map_err(fault)?);
         let size = |pixels: usize| u32::try_from(pixels).unwrap_or(u32::MAX);
         PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Up)
             .write_image(pixels, size(width), size(height), color.into())
-            .map_err(|error| fault(std::io::Error::other(error)))
+            .map_err(|error| fault(io::Error::other(error)))
     }
 
     /// Replaces an earlier recording by this one.
@@ -131,6 +145,40 @@ impl Drop for OutputFolder {
         if self.created {
             let _ = fs::remove_dir(&self.dir);
         }
+    }
+}
+
+/// A file that grows with the run; what is held of it in memory is one buffer.
+#[derive(Debug)]
+pub(super) struct LineFile {
+    file: BufWriter<File>,
+    path: PathBuf,
+}
+
+impl LineFile {
+    /// Writes a line.
+    pub(super) fn line(&mut self, line: fmt::Arguments<'_>) -> Result<(), RecordingError> {
+        writeln!(self.file, "{line}").map_err(|error| self.fault(error))
+    }
+
+    /// Writes what the buffer still holds.
+    pub(super) fn finish(&mut self) -> Result<(), RecordingError> {
+        self.file.flush().map_err(|error| self.fault(error))
+    }
+
+    /// An error of this file.
+    pub(super) fn fault(&self, error: io::Error) -> RecordingError {
+        RecordingError::write(&self.path, error)
+    }
+}
+
+impl Write for LineFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
     }
 }
 

@@ -2,30 +2,40 @@
 //!
 //! Everything is written into `DIR/.partial` and moved up when the run is finished, the report last; a run that fails
 //! leaves nothing behind. A folder that holds anything but an earlier recording is refused.
-//! Nothing here is bounded in time: call it from a thread of its own.
+//! Memory does not grow with the run: rows go to their files as they come, pictures are drawn into one buffer, and what the
+//! page shows is read from the files again. Nothing here is bounded in time: call it from a normal thread. Cost of a key
+//! frame at 640x480: see [`Recording::key_frame`].
 
+mod canvas;
 mod folder;
+mod font;
+mod latency;
 mod page;
 mod picture;
 mod report;
 #[cfg(test)]
 mod tests;
+mod timing;
 mod trajectory;
 
-pub use picture::{ImageView, MaskView};
-pub use report::{Percentiles, Report, RunCounts};
+pub use picture::{ImageView, Upsampler};
+pub use report::{Report, RunCounts};
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
 
 use freespace::emit::CanFrame;
+use freespace::pipeline::StageTimes;
 use freespace::space::{Micros, Pose};
 use serde::Serialize;
 
 use crate::bad_input::BadInput;
 use crate::eval::grid::GridLayout;
-use crate::eval::{Truth, npy};
-use folder::OutputFolder;
+use crate::eval::{self, Truth, npy};
+use crate::statistics::DriveStatistics;
+use folder::{LineFile, OutputFolder};
+use timing::TimingFile;
+use trajectory::{KittiFile, Seconds, TumFile};
 
 /// Why a recording failed.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -74,8 +84,8 @@ pub struct KeyFrameRecord<'a> {
     pub stamp: Micros,
     /// The frame, full size.
     pub image: ImageView<'a>,
-    /// Road, at the working resolution.
-    pub mask: MaskView<'a>,
+    /// Road, `[height, width] u8` of the image's size, 0 or 1; see [`Upsampler`].
+    pub mask: &'a [u8],
     /// Where the grid's cells lie.
     pub layout: GridLayout,
     /// `[rows, columns]`, -1 unknown, 0 free to 100 occupied.
@@ -88,8 +98,8 @@ pub struct KeyFrameRecord<'a> {
     pub deadline_met: bool,
     /// Time from capture to publication.
     pub publish_latency_ms: f64,
-    /// Time of each stage, in order of the pipeline; the same stages for each key frame.
-    pub stages_ms: &'a [(&'static str, f64)],
+    /// Time of each stage.
+    pub times: StageTimes,
     /// CAN frames of the publication: identifier and data.
     pub can_frames: &'a [CanFrame],
     /// Outlines of obstacle boxes and the like, as line segments in pixels of the full-size image.
@@ -111,19 +121,6 @@ struct GridHeader<'a> {
     world_from_vehicle: [f64; 12],
 }
 
-/// What a row of `timing.csv` and the page say of a key frame.
-#[derive(Clone, Debug, Serialize)]
-struct Row {
-    name: String,
-    stamp_micros: u64,
-    latency_ms: f64,
-    level: String,
-    met: bool,
-    stages_ms: Vec<f64>,
-    /// Share of the image that is road.
-    road_share: f64,
-}
-
 /// What is known of a run at its start.
 #[derive(Clone, Debug, Default)]
 pub struct RunTitle {
@@ -131,8 +128,8 @@ pub struct RunTitle {
     pub title: String,
     /// Deadline, shown in the histogram.
     pub deadline_ms: f64,
-    /// Whether the same input gives the same bytes: nothing that was measured is written but to `timing.csv`, the report and
-    /// the page.
+    /// Whether the same input gives the same bytes: nothing that was measured is written but to `timing.csv`, `latency.png`,
+    /// the report and the page.
     pub is_reproducible: bool,
 }
 
@@ -141,11 +138,14 @@ pub struct RunTitle {
 pub struct Recording {
     folder: OutputFolder,
     title: RunTitle,
-    frames: Vec<FrameRecord>,
-    rows: Vec<Row>,
-    stages: Vec<&'static str>,
-    can_log: String,
-    is_reproducible: bool,
+    kitti: KittiFile,
+    tum: TumFile,
+    /// Only a simulated drive knows its true poses.
+    truth: Option<KittiFile>,
+    timing: TimingFile,
+    can_log: LineFile,
+    /// The picture being drawn.
+    pixels: Vec<u8>,
 }
 
 impl Recording {
@@ -154,72 +154,56 @@ impl Recording {
     /// # Errors
     /// A folder that holds anything but an earlier recording, or one that cannot be made.
     pub fn create(dir: &Path, title: RunTitle) -> Result<Self, RecordingError> {
+        let folder = OutputFolder::create(dir)?;
         Ok(Self {
-            folder: OutputFolder::create(dir)?,
-            frames: Vec::new(),
-            rows: Vec::new(),
-            stages: Vec::new(),
-            can_log: String::new(),
-            is_reproducible: title.is_reproducible,
+            kitti: KittiFile::new(folder.lines("trajectory.kitti")?),
+            tum: TumFile::new(folder.lines("trajectory.tum")?)?,
+            truth: None,
+            timing: TimingFile::new(folder.lines("timing.csv")?)?,
+            can_log: folder.lines("emitted.candump")?,
+            pixels: Vec::new(),
+            folder,
             title,
         })
     }
 
-    /// Notes a frame's pose.
-    pub fn frame(&mut self, frame: &FrameRecord) {
-        self.frames.push(*frame);
+    /// Writes a frame's pose.
+    ///
+    /// # Errors
+    /// Where a file cannot be written.
+    pub fn frame(&mut self, frame: &FrameRecord) -> Result<(), RecordingError> {
+        self.kitti.frame(frame)?;
+        self.tum.frame(frame)
     }
 
-    /// Writes the files of a key frame.
+    /// Writes a frame's true pose to `truth/poses.txt`, as `eval trajectory` reads it.
+    ///
+    /// # Errors
+    /// Where the file cannot be written.
+    pub fn true_pose(&mut self, frame: &FrameRecord) -> Result<(), RecordingError> {
+        if self.truth.is_none() {
+            self.truth = Some(KittiFile::new(self.folder.lines("truth/poses.txt")?));
+        }
+        self.truth.as_mut().map_or(Ok(()), |file| file.frame(frame))
+    }
+
+    /// Writes the files of a key frame; a few milliseconds of one core at 640x480.
     ///
     /// # Errors
     /// Where a file cannot be written.
     pub fn key_frame(&mut self, record: &KeyFrameRecord<'_>) -> Result<(), RecordingError> {
+        use image::ColorType::{L8, Rgb8};
         let name = record.name;
-        let mask = record.mask.upsampled(record.image.width, record.image.height);
         let (width, height) = (record.image.width, record.image.height);
-        self.folder.png(
-            &format!("masks/{name}.png"),
-            &mask,
-            width,
-            height,
-            image::ColorType::L8,
-        )?;
-        let overlay = picture::overlay(&record.image, &mask, record.outlines);
-        self.folder.png(
-            &format!("overlays/{name}.png"),
-            &overlay,
-            width,
-            height,
-            image::ColorType::Rgb8,
-        )?;
-        let view = picture::birdseye(&record.layout, record.cells);
-        self.folder.png(
-            &format!("birdseye/{name}.png"),
-            &view.pixels,
-            view.width,
-            view.height,
-            image::ColorType::Rgb8,
-        )?;
+        let path = |kind: &str| format!("{kind}/{name}.png");
+        (self.folder).png(&path("masks"), record.mask, width, height, L8)?;
+        picture::overlay(&record.image, record.mask, record.outlines, &mut self.pixels);
+        (self.folder).png(&path("overlays"), &self.pixels, width, height, Rgb8)?;
+        let (width, height) = picture::birdseye(&record.layout, record.cells, &mut self.pixels);
+        (self.folder).png(&path("birdseye"), &self.pixels, width, height, Rgb8)?;
         self.grid(record)?;
-        self.log_can(record);
-        if self.stages.is_empty() {
-            self.stages = record.stages_ms.iter().map(|(stage, _)| *stage).collect();
-        }
-        let time_of = |stage: &&'static str| {
-            let found = record.stages_ms.iter().find(|(name, _)| name == stage);
-            found.map_or(0.0, |(_, ms)| *ms)
-        };
-        self.rows.push(Row {
-            name: name.to_owned(),
-            stamp_micros: record.stamp.0,
-            latency_ms: record.publish_latency_ms,
-            level: record.level.to_owned(),
-            met: record.deadline_met,
-            stages_ms: self.stages.iter().map(time_of).collect(),
-            road_share: share(&mask),
-        });
-        Ok(())
+        self.log_can(record)?;
+        self.timing.key_frame(record)
     }
 
     fn grid(&self, record: &KeyFrameRecord<'_>) -> Result<(), RecordingError> {
@@ -264,17 +248,8 @@ impl Recording {
         )
     }
 
-    /// Writes the true poses, a row a frame, as `eval trajectory` reads them.
-    ///
-    /// # Errors
-    /// Where the file cannot be written.
-    pub fn true_poses(&self, frames: &[FrameRecord]) -> Result<(), RecordingError> {
-        self.folder
-            .file("truth/poses.txt", trajectory::kitti(frames).as_bytes())
-    }
-
     /// Adds the frames to the log that `emitted.candump` becomes, as `candump -L` would have seen them.
-    fn log_can(&mut self, record: &KeyFrameRecord<'_>) {
+    fn log_can(&mut self, record: &KeyFrameRecord<'_>) -> Result<(), RecordingError> {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
@@ -283,19 +258,23 @@ impl Recording {
         let published = record
             .stamp
             .plus((record.publish_latency_ms.max(0.0) * 1e3) as u64);
-        let stamp = if self.is_reproducible {
+        let stamp = if self.title.is_reproducible {
             record.stamp
         } else {
             published
         };
         for frame in record.can_frames {
-            let hex: String = frame.data.iter().map(|byte| format!("{byte:02X}")).collect();
-            self.can_log.push_str(&format!(
-                "({}) can0 {:03X}#{hex}\n",
-                trajectory::seconds(stamp),
-                frame.id
-            ));
+            let log = &mut self.can_log;
+            let mut row = || -> io::Result<()> {
+                write!(log, "({}) can0 {:03X}#", Seconds(stamp), frame.id)?;
+                for byte in &frame.data {
+                    write!(log, "{byte:02X}")?;
+                }
+                writeln!(log)
+            };
+            row().map_err(|error| self.can_log.fault(error))?;
         }
+        Ok(())
     }
 
     /// Where the masks written so far lie, for the comparison with truth.
@@ -304,68 +283,68 @@ impl Recording {
         self.folder.partial("masks")
     }
 
-    /// Index and pose of every frame noted so far.
-    pub fn poses(&self) -> impl Iterator<Item = (usize, Pose)> {
-        self.frames
-            .iter()
-            .map(|frame| (frame.index, frame.world_from_camera))
+    /// Poses written so far, relative to the first, by their place in the sequence: those of `trajectory.kitti`.
+    ///
+    /// # Errors
+    /// Where the file cannot be written or read.
+    pub fn poses(&mut self) -> Result<Vec<Pose>, RecordingError> {
+        read_back(&self.folder, "trajectory.kitti", Some(&mut self.kitti))
     }
 
-    /// Writes trajectory, timing, page and report, and moves everything into place.
+    /// The same of the true poses; none where there are none.
+    ///
+    /// # Errors
+    /// Where the file cannot be written or read.
+    pub fn true_poses(&mut self) -> Result<Vec<Pose>, RecordingError> {
+        read_back(&self.folder, "truth/poses.txt", self.truth.as_mut())
+    }
+
+    /// Writes latency picture, page and report, and moves everything into place.
     ///
     /// # Errors
     /// Where a file cannot be written or moved.
-    pub fn finish(mut self, counts: &RunCounts, truth: Option<Truth>) -> Result<Report, RecordingError> {
-        self.folder
-            .file("trajectory.kitti", trajectory::kitti(&self.frames).as_bytes())?;
-        self.folder
-            .file("trajectory.tum", trajectory::tum(&self.frames).as_bytes())?;
-        self.folder.file("emitted.candump", self.can_log.as_bytes())?;
-        self.folder.file("timing.csv", &self.timing_csv())?;
-        let report = Report::new(counts, &self.rows, &self.stages, truth);
-        let page = page::html(
-            &self.title,
-            &self.folder,
-            &report,
-            &self.rows,
-            &self.stages,
-            &self.frames,
-        )?;
-        self.folder.file("index.html", page.as_bytes())?;
+    pub fn finish(
+        mut self,
+        counts: &RunCounts,
+        statistics: &DriveStatistics,
+        truth: Option<Truth>,
+    ) -> Result<Report, RecordingError> {
+        self.tum.finish()?;
+        self.can_log.finish()?;
+        self.timing.finish()?;
+        if let Some(truth) = &mut self.truth {
+            truth.finish()?;
+        }
+        let (width, height) = latency::draw(statistics, self.title.deadline_ms, &mut self.pixels);
+        let rgb = image::ColorType::Rgb8;
+        (self.folder).png("latency.png", &self.pixels, width, height, rgb)?;
+        let report = Report::new(counts, statistics, truth);
+        let positions: Vec<_> = self.poses()?.iter().map(|pose| pose.translation.vector).collect();
+        let run = page::Run {
+            title: &self.title,
+            folder: &self.folder,
+            report: &report,
+            rows: self.timing.rows(),
+            positions: &positions,
+        };
+        page::write(&run)?;
         self.folder.file("report.json", &json(&report))?;
         self.folder.publish()?;
         Ok(report)
     }
-
-    fn timing_csv(&self) -> Vec<u8> {
-        let mut csv = Vec::new();
-        let _ = write!(csv, "name,stamp_s,publish_latency_ms,level,deadline_met");
-        for stage in &self.stages {
-            let _ = write!(csv, ",{stage}_ms");
-        }
-        csv.push(b'\n');
-        for row in &self.rows {
-            let _ = write!(
-                csv,
-                "{},{},{:.3},{},{}",
-                row.name,
-                trajectory::seconds(Micros(row.stamp_micros)),
-                row.latency_ms,
-                row.level,
-                u8::from(row.met)
-            );
-            for ms in &row.stages_ms {
-                let _ = write!(csv, ",{ms:.3}");
-            }
-            csv.push(b'\n');
-        }
-        csv
-    }
 }
 
-#[expect(clippy::cast_precision_loss, reason = "pixel counts")]
-fn share(mask: &[u8]) -> f64 {
-    mask.iter().filter(|&&road| road != 0).count() as f64 / mask.len().max(1) as f64
+/// The poses of a file that is still being written.
+fn read_back(
+    folder: &OutputFolder,
+    name: &str,
+    file: Option<&mut KittiFile>,
+) -> Result<Vec<Pose>, RecordingError> {
+    let Some(file) = file.filter(|file| !file.is_empty()) else {
+        return Ok(Vec::new());
+    };
+    file.finish()?;
+    Ok(eval::trajectory::read(&folder.partial(name))?.poses)
 }
 
 /// Pretty JSON with a line feed at its end; the types here always have one.

@@ -1,58 +1,132 @@
 //! `index.html`: the run on one page that needs no network and no file beside it.
+//!
+//! Written piece by piece: one key frame's pictures are in memory at a time. A long run has more key frames than a browser
+//! takes; then every nth is shown, and of the misses the first [`MISSES_SHOWN`] too.
 
-use std::fmt::Write;
+use std::fmt::Write as _;
+use std::io::Write as _;
+
+use nalgebra::Vector3;
 
 use super::folder::OutputFolder;
-use super::report::{Percentiles, Report};
-use super::trajectory::seconds;
-use super::{FrameRecord, RecordingError, Row, RunTitle};
-use freespace::space::Micros;
+use super::report::Report;
+use super::timing::{self, Row};
+use super::{RecordingError, RunTitle};
+use crate::statistics::Percentiles;
 
 /// Page frame: style, layout and the player; the rest is put in at the marks.
 const TEMPLATE: &str = include_str!("page.html");
+/// Where the key frames go.
+const KEY_FRAMES: &str = "/*KEY_FRAMES*/[]";
 
+/// Key frames that the page shows at most, but for misses: with their pictures they are some 25 MB.
+const KEY_FRAMES_SHOWN: usize = 240;
+/// Misses shown besides.
+const MISSES_SHOWN: usize = 60;
+/// Points of the path that are drawn.
+const PATH_POINTS: usize = 1500;
 /// Widest overlay on the page; the full one is in `overlays/`.
 const PICTURE_WIDTH_PX: u32 = 960;
 /// Quality of the overlays on the page, 0 to 100.
 const PICTURE_QUALITY: u8 = 78;
 
-pub(super) fn html(
-    title: &RunTitle,
-    folder: &OutputFolder,
-    report: &Report,
-    rows: &[Row],
-    stages: &[&'static str],
-    frames: &[FrameRecord],
-) -> Result<String, RecordingError> {
-    let mut key_frames = String::from("[");
-    for (i, row) in rows.iter().enumerate() {
-        let picture = |name: &str| folder.read(name).unwrap_or_default();
-        let overlay = small_jpeg(&picture(&format!("overlays/{}.png", row.name)));
-        let birdseye = picture(&format!("birdseye/{}.png", row.name));
-        let _ = write!(
-            key_frames,
-            "{}{{\"row\":{},\"time\":\"{}\",\"overlay\":\"data:image/jpeg;base64,{}\",\"birdseye\":\"data:image/png;base64,{}\"}}",
-            if i == 0 { "" } else { ",\n" },
-            script_json(row),
-            seconds(Micros(row.stamp_micros)),
-            base64(&overlay),
-            base64(&birdseye)
-        );
+/// What the page is made of.
+pub(super) struct Run<'a> {
+    pub(super) title: &'a RunTitle,
+    pub(super) folder: &'a OutputFolder,
+    pub(super) report: &'a Report,
+    /// Rows of the finished `timing.csv`.
+    pub(super) rows: usize,
+    /// Of every frame, relative to the first camera.
+    pub(super) positions: &'a [Vector3<f64>],
+}
+
+/// Writes the page.
+pub(super) fn write(run: &Run<'_>) -> Result<(), RecordingError> {
+    let (before, after) = TEMPLATE.split_once(KEY_FRAMES).unwrap_or((TEMPLATE, ""));
+    let mut page = run.folder.lines("index.html")?;
+    let written = page.write_all(head(run, before).as_bytes());
+    written.map_err(|error| page.fault(error))?;
+    let stride = run.rows.div_ceil(KEY_FRAMES_SHOWN).max(1);
+    let (mut separator, mut misses) = ("[", 0);
+    for (i, row) in timing::rows(&run.folder.partial("timing.csv"))?.enumerate() {
+        let is_extra = i % stride != 0;
+        if is_extra && (row.met || misses >= MISSES_SHOWN) {
+            continue;
+        }
+        misses += usize::from(is_extra);
+        page.line(format_args!("{separator}{}", entry(run.folder, &row)))?;
+        separator = ",";
     }
-    key_frames.push(']');
-    let heading = if title.title.is_empty() {
-        "freespace run"
-    } else {
-        &title.title
-    };
-    Ok(TEMPLATE
+    let opening = if separator == "[" { "[" } else { "" };
+    page.line(format_args!("{opening}]{}", after.trim_end()))?;
+    page.finish()
+}
+
+/// The page up to the key frames.
+fn head(run: &Run<'_>, template: &str) -> String {
+    let title = &run.title.title;
+    let heading = if title.is_empty() { "freespace run" } else { title };
+    let stages = freespace::pipeline::Stage::ALL.map(freespace::pipeline::Stage::name);
+    template
         .replace("<!--TITLE-->", &escaped(heading))
-        .replace("<!--CARDS-->", &cards(report))
-        .replace("<!--STAGES-->", &stage_table(report))
-        .replace("<!--HISTOGRAM-->", &histogram(rows, title.deadline_ms))
-        .replace("<!--PATH-->", &path(frames))
+        .replace("<!--CARDS-->", &cards(run.report))
+        .replace("<!--SHOWN-->", &shown(run.rows))
+        .replace("<!--STAGES-->", &stage_table(run.report))
+        .replace("<!--LATENCY-->", &latency(run))
+        .replace("<!--PATH-->", &path(run.positions))
         .replace("/*STAGES*/[]", &script_json(&stages))
-        .replace("/*KEY_FRAMES*/[]", &key_frames))
+}
+
+/// Says which key frames are shown, where it is not all of them.
+fn shown(rows: usize) -> String {
+    match rows.div_ceil(KEY_FRAMES_SHOWN) {
+        0 | 1 => String::new(),
+        stride => format!(
+            "<div class=\"facts\">One key frame in {stride} of {rows} is shown, and misses besides.</div>"
+        ),
+    }
+}
+
+/// A key frame with its pictures.
+fn entry(folder: &OutputFolder, row: &Row) -> String {
+    let picture = |kind: &str| {
+        folder
+            .read(&format!("{kind}/{}.png", row.name))
+            .unwrap_or_default()
+    };
+    format!(
+        "{{\"row\":{},\"road\":{:.4},\"overlay\":\"data:image/jpeg;base64,{}\",\"birdseye\":\"data:image/png;base64,{}\"}}",
+        script_json(row),
+        road_share(&picture("masks")),
+        base64(&small_jpeg(&picture("overlays"))),
+        base64(&picture("birdseye"))
+    )
+}
+
+/// Share of a mask that is road.
+#[expect(clippy::cast_precision_loss, reason = "pixel counts")]
+fn road_share(png: &[u8]) -> f64 {
+    let Ok(mask) = image::load_from_memory(png) else {
+        return 0.0;
+    };
+    let mask = mask.into_luma8();
+    mask.iter().filter(|&&road| road != 0).count() as f64 / mask.len().max(1) as f64
+}
+
+/// The latency picture.
+fn latency(run: &Run<'_>) -> String {
+    let deadline_ms = run.title.deadline_ms;
+    let said = if deadline_ms > 0.0 {
+        format!(", deadline {deadline_ms:.0} ms")
+    } else {
+        String::new()
+    };
+    let png = run.folder.read("latency.png").unwrap_or_default();
+    format!(
+        "<img alt=\"time from capture to publication{said}\" src=\"data:image/png;base64,{}\">",
+        base64(&png)
+    )
 }
 
 /// JSON that may stand in a script element.
@@ -157,74 +231,19 @@ fn stage_table(report: &Report) -> String {
     out
 }
 
-/// Bars of the histogram.
-const BINS: usize = 40;
-
-/// Latencies of all key frames as an SVG picture, the deadline as a line.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    clippy::cast_precision_loss,
-    reason = "bars of a histogram"
-)]
-fn histogram(rows: &[Row], deadline_ms: f64) -> String {
-    let largest = rows.iter().map(|row| row.latency_ms).fold(1.0, f64::max);
-    let deadline_shown = deadline_ms > 0.0 && deadline_ms < 8.0 * largest;
-    let end = if deadline_shown {
-        largest.max(deadline_ms) * 1.05
-    } else {
-        largest * 1.05
-    };
-    let mut counts = [0_usize; BINS];
-    for row in rows {
-        let bin = (row.latency_ms.max(0.0) / end * BINS as f64) as usize;
-        counts[bin.min(BINS - 1)] += 1;
-    }
-    let most = counts.iter().copied().max().unwrap_or_default().max(1) as f64;
-    let mut svg = String::from("<svg viewBox=\"0 0 480 170\" role=\"img\" aria-label=\"latency histogram\">");
-    for (i, &count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
-        let height = 120.0 * count as f64 / most;
-        let (x, y) = (10.0 + 11.5 * i as f64, 140.0 - height);
-        let low = end * i as f64 / BINS as f64;
-        let high = end * (i + 1) as f64 / BINS as f64;
-        let _ = write!(
-            svg,
-            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"10\" height=\"{height:.1}\" rx=\"2\"><title>{low:.0} to {high:.0} ms: {count}</title></rect>"
-        );
-    }
-    svg.push_str("<path class=\"axis\" d=\"M10 140H470\"/>");
-    for tick in 0..=4 {
-        let x = 10.0 + 115.0 * f64::from(tick);
-        let _ = write!(
-            svg,
-            "<text x=\"{x:.0}\" y=\"158\">{:.0}</text>",
-            end * f64::from(tick) / 4.0
-        );
-    }
-    if deadline_shown {
-        let x = 10.0 + 460.0 * deadline_ms / end;
-        let _ = write!(
-            svg,
-            "<path class=\"deadline\" d=\"M{x:.1} 8V140\"/><text class=\"deadline\" x=\"{:.1}\" y=\"16\" text-anchor=\"end\">deadline {deadline_ms:.0} ms</text>",
-            x - 6.0
-        );
-    }
-    svg.push_str("</svg>");
-    svg
-}
-
 /// The path from above as an SVG picture, ahead of the first camera up.
-fn path(frames: &[FrameRecord]) -> String {
-    let Some(first) = frames.first() else {
-        return String::new();
-    };
-    let first_from_world = first.world_from_camera.inverse();
-    let points: Vec<(f64, f64)> = frames
+fn path(positions: &[Vector3<f64>]) -> String {
+    let stride = positions.len().div_ceil(PATH_POINTS).max(1);
+    let points: Vec<(f64, f64)> = positions
         .iter()
-        .map(|frame| (first_from_world * frame.world_from_camera).translation.vector)
+        .step_by(stride)
+        .chain(positions.last())
         .map(|position| (position.x, -position.z))
         .filter(|(x, y)| x.is_finite() && y.is_finite())
         .collect();
+    if points.is_empty() {
+        return String::new();
+    }
     let bounds = |values: &mut dyn Iterator<Item = f64>| {
         values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)))
     };

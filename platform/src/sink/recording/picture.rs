@@ -7,6 +7,7 @@
     reason = "pixel arithmetic: coordinates are bounded by the image"
 )]
 
+use super::canvas::{Canvas, Colour, mixed};
 use crate::eval::grid::{FREE_BELOW, GridLayout};
 
 /// A frame, one byte a pixel or three, row-major.
@@ -22,78 +23,99 @@ pub struct ImageView<'a> {
     pub bytes: &'a [u8],
 }
 
-/// Road labels, `[height, width] u8`, 0 or 1.
-#[derive(Clone, Copy, Debug)]
-pub struct MaskView<'a> {
-    /// Width in pixels.
-    pub width: usize,
-    /// Height in pixels.
-    pub height: usize,
-    /// Labels.
-    pub labels: &'a [u8],
-}
+/// Where a target pixel's centre lies in the source: lower neighbour, upper neighbour, weight of the upper one.
+type Tap = (usize, usize, f32);
 
-/// Source coordinate of a target pixel's centre: lower neighbour, upper neighbour, weight of the upper one.
-fn taps(target: usize, source: usize) -> Vec<(usize, usize, f32)> {
+fn taps(target: usize, source: usize) -> Box<[Tap]> {
     let scale = source as f32 / target as f32;
+    let last = source.saturating_sub(1);
     (0..target)
         .map(|i| {
-            let at = ((i as f32 + 0.5) * scale - 0.5).clamp(0.0, (source - 1) as f32);
+            let at = ((i as f32 + 0.5) * scale - 0.5).clamp(0.0, last as f32);
             let low = at as usize;
-            (low, (low + 1).min(source - 1), at - low as f32)
+            (low, (low + 1).min(last), at - low as f32)
         })
         .collect()
 }
 
-impl MaskView<'_> {
-    /// The mask at `width` x `height`, bilinear and cut at one half, 0 or 1.
+/// Brings road labels from the working resolution to that of the camera: bilinear, cut at one half.
+#[derive(Clone, Debug)]
+pub struct Upsampler {
+    columns: Box<[Tap]>,
+    rows: Box<[Tap]>,
+    source_width: usize,
+    /// Two source rows, already interpolated along x, and which they are.
+    upper: (Option<usize>, Box<[f32]>),
+    lower: (Option<usize>, Box<[f32]>),
+}
+
+impl Upsampler {
+    /// From one width and height to another.
     #[must_use]
-    pub fn upsampled(&self, width: usize, height: usize) -> Vec<u8> {
-        let label = |x: usize, y: usize| f32::from(u8::from(self.labels[y * self.width + x] != 0));
-        let columns = taps(width, self.width);
-        let mut out = Vec::with_capacity(width * height);
-        for (top, bottom, down) in taps(height, self.height) {
-            for &(left, right, along) in &columns {
-                let upper = label(left, top) * (1.0 - along) + label(right, top) * along;
-                let lower = label(left, bottom) * (1.0 - along) + label(right, bottom) * along;
-                out.push(u8::from(upper * (1.0 - down) + lower * down >= 0.5));
+    pub fn new(from: (usize, usize), to: (usize, usize)) -> Self {
+        let row = || (None, vec![0.0; to.0].into_boxed_slice());
+        Self {
+            columns: taps(to.0, from.0),
+            rows: taps(to.1, from.1),
+            source_width: from.0,
+            upper: row(),
+            lower: row(),
+        }
+    }
+
+    /// Writes `labels`, row-major, not 0 = road, to `out` at the other size, 0 or 1.
+    pub fn upsample(&mut self, labels: &[u8], out: &mut [u8]) {
+        (self.upper.0, self.lower.0) = (None, None);
+        let width = self.columns.len();
+        for (row, &(top, bottom, down)) in out.chunks_exact_mut(width.max(1)).zip(&self.rows) {
+            if self.upper.0 != Some(top) && self.lower.0 == Some(top) {
+                std::mem::swap(&mut self.upper, &mut self.lower);
+            }
+            for (kept, wanted) in [(&mut self.upper, top), (&mut self.lower, bottom)] {
+                if kept.0 != Some(wanted) {
+                    let source = &labels[wanted * self.source_width..][..self.source_width];
+                    along(source, &self.columns, &mut kept.1);
+                    kept.0 = Some(wanted);
+                }
+            }
+            for ((to, upper), lower) in row.iter_mut().zip(&self.upper.1).zip(&self.lower.1) {
+                *to = u8::from(upper * (1.0 - down) + lower * down >= 0.5);
             }
         }
-        out
+    }
+}
+
+fn along(source: &[u8], columns: &[Tap], out: &mut [f32]) {
+    let label = |x: usize| f32::from(u8::from(source[x] != 0));
+    for (to, &(left, right, part)) in out.iter_mut().zip(columns) {
+        *to = label(left) * (1.0 - part) + label(right) * part;
     }
 }
 
 /// Road tint, boundary and outline colours.
-const ROAD: [u8; 3] = [40, 200, 120];
-const BOUNDARY: [u8; 3] = [250, 250, 120];
-const OUTLINE: [u8; 3] = [255, 110, 60];
+const ROAD: Colour = [40, 200, 120];
+const BOUNDARY: Colour = [250, 250, 120];
+const OUTLINE: Colour = [255, 110, 60];
 
-fn mixed(pixel: [u8; 3], tint: [u8; 3], eighths: u16) -> [u8; 3] {
-    std::array::from_fn(|c| ((u16::from(pixel[c]) * (8 - eighths) + u16::from(tint[c]) * eighths) / 8) as u8)
-}
-
-/// The frame with its road tinted, the road's edge and the outlines drawn, `[height, width, 3] u8`.
-pub(super) fn overlay(image: &ImageView<'_>, mask: &[u8], outlines: &[[(f32, f32); 2]]) -> Vec<u8> {
+/// Draws the frame with its road tinted, the road's edge and the outlines into `out`, `[height, width, 3] u8`.
+pub(super) fn overlay(image: &ImageView<'_>, mask: &[u8], outlines: &[[(f32, f32); 2]], out: &mut Vec<u8>) {
     let (width, height) = (image.width, image.height);
-    let mut out = Vec::with_capacity(width * height * 3);
+    out.clear();
+    match image.channels {
+        1 => out.extend(image.bytes.iter().flat_map(|luma| [*luma; 3])),
+        _ => out.extend_from_slice(image.bytes),
+    }
     for y in 0..height {
-        for x in 0..width {
-            let i = y * width + x;
-            let pixel = match image.channels {
-                1 => [image.bytes[i]; 3],
-                _ => std::array::from_fn(|c| image.bytes[i * 3 + c]),
-            };
-            let road = mask[i] != 0;
-            let edge = road
-                && ((x > 0 && mask[i - 1] == 0)
-                    || (x + 1 < width && mask[i + 1] == 0)
-                    || (y > 0 && mask[i - width] == 0)
-                    || (y + 1 < height && mask[i + width] == 0));
-            out.extend(match (edge, road) {
-                (true, _) => mixed(pixel, BOUNDARY, 7),
-                (false, true) => mixed(pixel, ROAD, 3),
-                (false, false) => pixel,
-            });
+        let first = y * width;
+        for x in (0..width).filter(|x| mask[first + x] != 0) {
+            let i = first + x;
+            let is_edge = (x > 0 && mask[i - 1] == 0)
+                || (x + 1 < width && mask[i + 1] == 0)
+                || (y > 0 && mask[i - width] == 0)
+                || (y + 1 < height && mask[i + width] == 0);
+            let (tint, eighths) = if is_edge { (BOUNDARY, 7) } else { (ROAD, 3) };
+            let pixel = std::array::from_fn(|c| out[3 * i + c]);
+            out[3 * i..3 * i + 3].copy_from_slice(&mixed(pixel, tint, eighths));
         }
     }
     let mut canvas = Canvas {
@@ -103,40 +125,6 @@ pub(super) fn overlay(image: &ImageView<'_>, mask: &[u8], outlines: &[[(f32, f32
     };
     for [from, to] in outlines {
         canvas.line(*from, *to, OUTLINE);
-    }
-    canvas.pixels
-}
-
-/// An RGB picture.
-pub(super) struct Canvas {
-    pub(super) width: usize,
-    pub(super) height: usize,
-    pub(super) pixels: Vec<u8>,
-}
-
-impl Canvas {
-    fn set(&mut self, x: f64, y: f64, colour: [u8; 3], eighths: u16) {
-        if x < 0.0 || y < 0.0 || x >= self.width as f64 || y >= self.height as f64 {
-            return;
-        }
-        let i = 3 * (y as usize * self.width + x as usize);
-        let pixel = std::array::from_fn(|c| self.pixels[i + c]);
-        self.pixels[i..i + 3].copy_from_slice(&mixed(pixel, colour, eighths));
-    }
-
-    /// A line, cut off at the picture's edge; steps are capped by the picture's size.
-    fn line(&mut self, from: (f32, f32), to: (f32, f32), colour: [u8; 3]) {
-        let (x0, y0) = (f64::from(from.0), f64::from(from.1));
-        let (dx, dy) = (f64::from(to.0) - x0, f64::from(to.1) - y0);
-        if !(dx.is_finite() && dy.is_finite() && x0.is_finite() && y0.is_finite()) {
-            return;
-        }
-        let cap = 4.0 * (self.width + self.height) as f64;
-        let steps = dx.abs().max(dy.abs()).clamp(1.0, cap).ceil();
-        for step in 0..=steps as usize {
-            let part = step as f64 / steps;
-            self.set((x0 + part * dx).round(), (y0 + part * dy).round(), colour, 7);
-        }
     }
 }
 
@@ -149,15 +137,15 @@ const RING_M: f64 = 10.0;
 /// Outline of the car around the rear axle: rear, front, half width.
 const CAR_M: (f64, f64, f64) = (-1.0, 3.6, 0.9);
 
-const UNKNOWN: [u8; 3] = [74, 78, 86];
-const OUTSIDE: [u8; 3] = [30, 33, 39];
-const OCCUPIED: [u8; 3] = [126, 28, 32];
-const FREE: [u8; 3] = [66, 178, 104];
-const RING: [u8; 3] = [235, 235, 235];
-const CAR: [u8; 3] = [90, 160, 250];
+const UNKNOWN: Colour = [74, 78, 86];
+const OUTSIDE: Colour = [30, 33, 39];
+const OCCUPIED: Colour = [126, 28, 32];
+const FREE: Colour = [66, 178, 104];
+const RING: Colour = [235, 235, 235];
+const CAR: Colour = [90, 160, 250];
 
 /// Green for free, dark red for occupied, dim in between.
-fn cell_colour(value: i8) -> [u8; 3] {
+fn cell_colour(value: i8) -> Colour {
     match value {
         ..0 => UNKNOWN,
         0..FREE_BELOW => mixed(FREE, UNKNOWN, value.unsigned_abs() as u16 / 8),
@@ -169,8 +157,9 @@ fn cell_colour(value: i8) -> [u8; 3] {
     }
 }
 
-/// The grid seen from above, ahead up and left to the left, with rings each 10 m and the car.
-pub(super) fn birdseye(layout: &GridLayout, cells: &[i8]) -> Canvas {
+/// Draws the grid seen from above into `out`, ahead up and left to the left, with rings each 10 m and the car; gives width and
+/// height.
+pub(super) fn birdseye(layout: &GridLayout, cells: &[i8], out: &mut Vec<u8>) -> (usize, usize) {
     let [near_m, right_m] = layout.origin_in_vehicle_m;
     let cell_px = (VIEW_HEIGHT_PX / layout.rows.max(1)).max(1);
     let px_per_m = cell_px as f64 / layout.cell_m;
@@ -178,19 +167,8 @@ pub(super) fn birdseye(layout: &GridLayout, cells: &[i8]) -> Canvas {
         .clamp(0.0, VIEW_HEIGHT_PX as f64)
         .round() as usize;
     let (width, height) = (layout.columns * cell_px, layout.rows * cell_px + below);
-    let mut canvas = Canvas {
-        width,
-        height,
-        pixels: OUTSIDE.repeat(width * height),
-    };
-    for y in 0..layout.rows * cell_px {
-        let row = layout.rows - 1 - y / cell_px;
-        for x in 0..width {
-            let column = layout.columns - 1 - x / cell_px;
-            let colour = cell_colour(cells[row * layout.columns + column]);
-            canvas.pixels[3 * (y * width + x)..][..3].copy_from_slice(&colour);
-        }
-    }
+    let mut canvas = Canvas::filled(out, width, height, OUTSIDE);
+    draw_cells(&mut canvas, layout, cells, cell_px);
     let grid_bottom = (layout.rows * cell_px) as f64;
     let place = |ahead_m: f64, left_m: f64| {
         let x = width as f64 - (left_m - right_m) * px_per_m;
@@ -213,5 +191,24 @@ pub(super) fn birdseye(layout: &GridLayout, cells: &[i8]) -> Canvas {
             canvas.set(x as f64, y as f64, CAR, 6);
         }
     }
-    canvas
+    (width, height)
+}
+
+fn draw_cells(canvas: &mut Canvas<'_>, layout: &GridLayout, cells: &[i8], cell_px: usize) {
+    let stride = 3 * canvas.width;
+    for (row, cells) in cells.chunks_exact(layout.columns.max(1)).rev().enumerate() {
+        let top = row * cell_px * stride;
+        let colours = cells.iter().rev().map(|cell| cell_colour(*cell));
+        for (pixels, colour) in canvas.pixels[top..top + stride]
+            .chunks_exact_mut(3 * cell_px)
+            .zip(colours)
+        {
+            for pixel in pixels.chunks_exact_mut(3) {
+                pixel.copy_from_slice(&colour);
+            }
+        }
+        for copy in 1..cell_px {
+            canvas.pixels.copy_within(top..top + stride, top + copy * stride);
+        }
+    }
 }

@@ -14,6 +14,10 @@ use serde_json::Value;
 
 use super::*;
 use crate::eval::trajectory::read;
+use crate::runtime::allocation::RealTimeScope;
+use crate::statistics::Publication;
+use freespace::health::{Faults, QualityLevel, ScaleState, TrackingState};
+use freespace::pipeline::Stage;
 
 const LAYOUT: GridLayout = GridLayout {
     rows: 60,
@@ -40,17 +44,36 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
             deadline_ms: 500.0,
         },
     )?;
+    let mut statistics = DriveStatistics::new();
     for index in [0, 2, 3] {
         recording.frame(&FrameRecord {
             index,
             stamp: Micros(index as u64 * 100_000 + 7),
             world_from_camera: pose(index as f64),
-        });
+        })?;
+        statistics.frame(TrackingState::Good);
     }
     let image = vec![128; 64 * 48];
     let labels: Vec<u8> = (0..32 * 24).map(|i| u8::from(i / 32 >= 12)).collect();
+    let mut mask = vec![0; 64 * 48];
+    Upsampler::new((32, 24), (64, 48)).upsample(&labels, &mut mask);
     let cells: Vec<i8> = (0..2400).map(|i| [0, 100, -1][i % 3]).collect();
-    for (name, latency, met) in [("000000", 40.0, true), ("000002", 600.0, false)] {
+    for (name, latency_micros, level) in [
+        ("000000", 40_000, QualityLevel::Full),
+        ("000002", 600_000, QualityLevel::Invalid),
+    ] {
+        let mut times = StageTimes::default();
+        times.add(Stage::Track, 3_000);
+        times.add(Stage::Map, latency_micros / 10);
+        let deadline_met = level == QualityLevel::Full;
+        statistics.publication(&Publication {
+            level,
+            faults: Faults::NONE.with(Faults::DEADLINE_MISSED, !deadline_met),
+            scale: ScaleState::Wheels,
+            times,
+            latency_micros,
+            is_miss: !deadline_met,
+        });
         recording.key_frame(&KeyFrameRecord {
             can_frames: &[],
             name,
@@ -61,29 +84,27 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
                 channels: 1,
                 bytes: &image,
             },
-            mask: MaskView {
-                width: 32,
-                height: 24,
-                labels: &labels,
-            },
+            mask: &mask,
             layout: LAYOUT,
             cells: &cells,
             world_from_vehicle: Pose::identity(),
-            level: if met { "full" } else { "invalid" },
-            deadline_met: met,
-            publish_latency_ms: latency,
-            stages_ms: &[("track", 3.0), ("map", latency / 10.0)],
+            level: level.name(),
+            deadline_met,
+            publish_latency_ms: latency_micros as f64 / 1e3,
+            times,
             outlines: &[[(-10.0, 5.0), (100.0, f32::NAN)], [(-10.0, 5.0), (100.0, 20.0)]],
         })?;
     }
     let counts = RunCounts {
+        key_frames: 2,
+        deadline_misses: 1,
         frames: 3,
         tracked_frames: 3,
         dropped_frames: 1,
         allocations_after_start: Some(0),
         peak_rss_mb: None,
     };
-    recording.finish(&counts, None)
+    recording.finish(&counts, &statistics, None)
 }
 
 #[test]
@@ -104,8 +125,12 @@ fn recording_holds_what_it_promises() {
         assert_eq!(report[key], wanted, "{key}");
     }
     assert_eq!(report["capture_to_publish_ms"]["p99_9"], 600.0);
-    assert_eq!(report["stages_ms"]["map"]["p50"], 4.0);
+    let map_ms = report["stages_ms"]["map"]["p50"].as_f64().unwrap();
+    assert!((map_ms - 4.0).abs() < 0.005, "{map_ms}");
     assert_eq!(report["levels"]["full"], 1);
+    assert_eq!(report["misses_by_stage"]["unknown"], 1);
+    assert_eq!(report["faults"]["deadline_missed"], 1);
+    assert!(report["frame_ms"].is_null() && report["drops"]["hand_over"].is_null());
     assert!(report["truth"].is_null() && report["peak_rss_mb"].is_null());
 
     let mask = image::open(dir.join("masks/000000.png")).unwrap().into_luma8();
@@ -133,9 +158,15 @@ fn recording_holds_what_it_promises() {
     let lines: Vec<&str> = timing.lines().collect();
     assert_eq!(
         lines[0],
-        "name,stamp_s,publish_latency_ms,level,deadline_met,track_ms,map_ms"
+        "name,stamp_s,publish_latency_ms,level,deadline_met,frame_ms,track_ms,map_ms,priors_ms,segmentation_ms,crf_ms,\
+         grid_ms,emit_ms"
     );
-    assert_eq!(lines[2], "000002,0.000007,600.000,invalid,0,3.000,60.000");
+    assert_eq!(
+        lines[2],
+        "000002,0.000007,600.000,invalid,0,0.000,3.000,60.000,0.000,0.000,0.000,0.000,0.000"
+    );
+    let latency = image::open(dir.join("latency.png")).unwrap();
+    assert!(latency.width() >= 800 && latency.height() >= 500);
     assert!(!dir.join(".partial").exists());
 }
 
@@ -209,21 +240,123 @@ fn same_run_gives_the_same_bytes() {
 }
 
 #[test]
-fn percentiles_are_samples() {
-    let samples: Vec<f64> = (1..=1000).rev().map(f64::from).collect();
-    let found = Percentiles::of(&samples).unwrap();
-    assert_eq!(
-        found,
-        Percentiles {
-            p50: 500.0,
-            p99: 990.0,
-            p99_9: 999.0,
-            max: 1000.0
-        }
-    );
-    assert_eq!(Percentiles::of(&[5.0]).unwrap().p50, 5.0);
-    assert_eq!(Percentiles::of(&[1.0, 2.0, 9.0]).unwrap().p99, 9.0);
-    assert_eq!(Percentiles::of(&[]), None);
+fn frames_take_no_memory() {
+    let parent = tempfile::tempdir().unwrap();
+    let mut recording = Recording::create(&parent.path().join("run"), RunTitle::default()).unwrap();
+    let frame = |index: usize| FrameRecord {
+        index,
+        stamp: Micros(index as u64),
+        world_from_camera: pose(index as f64),
+    };
+    recording.frame(&frame(0)).unwrap();
+    recording.true_pose(&frame(0)).unwrap();
+    let scope = RealTimeScope::enter();
+    for index in 1..2000 {
+        recording.frame(&frame(index)).unwrap();
+        recording.true_pose(&frame(index)).unwrap();
+    }
+    assert_eq!(scope.allocations(), 0);
+    drop(scope);
+    assert_eq!(recording.poses().unwrap().len(), 2000);
+}
+
+#[test]
+fn a_sequence_that_begins_late_still_lines_up() {
+    let parent = tempfile::tempdir().unwrap();
+    let mut recording = Recording::create(&parent.path().join("run"), RunTitle::default()).unwrap();
+    assert_eq!(recording.poses().unwrap().len(), 0);
+    for index in [2, 4] {
+        let frame = FrameRecord {
+            index,
+            stamp: Micros(index as u64),
+            world_from_camera: pose(index as f64),
+        };
+        recording.frame(&frame).unwrap();
+        recording.true_pose(&frame).unwrap();
+    }
+    let ahead_m: Vec<f64> = (recording.poses().unwrap().iter())
+        .map(|pose| pose.translation.vector.z.round())
+        .collect();
+    assert_eq!(ahead_m, [0.0, 0.0, 0.0, 1.0, 2.0]);
+    assert_eq!(recording.true_poses().unwrap().len(), 5);
+}
+
+#[test]
+fn a_long_run_shows_a_part_of_its_key_frames_and_all_misses() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    let mut recording = Recording::create(&dir, RunTitle::default()).unwrap();
+    let (image, mask, cells) = ([0; 16], [1; 16], [0; 4]);
+    for i in 0..1000 {
+        let is_miss = i == 501;
+        recording
+            .key_frame(&KeyFrameRecord {
+                name: &format!("{i:06}"),
+                stamp: Micros(i),
+                image: ImageView {
+                    width: 4,
+                    height: 4,
+                    channels: 1,
+                    bytes: &image,
+                },
+                mask: &mask,
+                layout: GridLayout {
+                    rows: 2,
+                    columns: 2,
+                    ..LAYOUT
+                },
+                cells: &cells,
+                world_from_vehicle: Pose::identity(),
+                level: "full",
+                deadline_met: !is_miss,
+                publish_latency_ms: 1.0,
+                times: StageTimes::default(),
+                can_frames: &[],
+                outlines: &[],
+            })
+            .unwrap();
+    }
+    recording
+        .finish(&RunCounts::default(), &DriveStatistics::new(), None)
+        .unwrap();
+    let page = fs::read_to_string(dir.join("index.html")).unwrap();
+    assert_eq!(page.matches("\"overlay\":").count(), 201);
+    assert!(page.contains("\"name\":\"000500\"") && page.contains("\"name\":\"000501\""));
+    assert!(page.contains("One key frame in 5 of 1000 is shown"));
+    let timing = fs::read_to_string(dir.join("timing.csv")).unwrap();
+    assert_eq!(timing.lines().count(), 1001);
+}
+
+#[test]
+fn an_upsampled_mask_is_cut_at_one_half() {
+    let labels = [0, 0, 0, 7];
+    let mut out = [9; 16];
+    Upsampler::new((2, 2), (4, 4)).upsample(&labels, &mut out);
+    assert_eq!(out, [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 0, 0, 1, 1]);
+    let mut same = [9; 4];
+    Upsampler::new((2, 2), (2, 2)).upsample(&labels, &mut same);
+    assert_eq!(same, [0, 0, 0, 1]);
+}
+
+#[test]
+fn the_latency_picture_has_its_parts_even_where_nothing_was_published() {
+    let mut pixels = Vec::new();
+    latency::draw(&DriveStatistics::new(), 500.0, &mut pixels);
+    let empty = pixels.clone();
+    let mut statistics = DriveStatistics::new();
+    for latency_micros in [0, 1, 45_000, 46_000, 90_000_000] {
+        statistics.publication(&Publication {
+            level: QualityLevel::Full,
+            faults: Faults::NONE,
+            scale: ScaleState::Wheels,
+            times: StageTimes([latency_micros; 8]),
+            latency_micros,
+            is_miss: false,
+        });
+    }
+    let (width, height) = latency::draw(&statistics, 0.0, &mut pixels);
+    assert_eq!(pixels.len(), 3 * width * height);
+    assert!(pixels != empty && empty.len() == pixels.len());
 }
 
 #[test]
@@ -243,8 +376,9 @@ fn base64_as_in_the_rfc() {
 fn birdseye_has_ahead_up_and_left_left() {
     let mut cells = vec![-1; 2400];
     cells[59 * 40 + 39] = 100; // farthest row, leftmost column
-    let view = picture::birdseye(&LAYOUT, &cells);
-    let at = |x: usize, y: usize| &view.pixels[3 * (y * view.width + x)..][..3];
+    let mut pixels = Vec::new();
+    let (width, _) = picture::birdseye(&LAYOUT, &cells, &mut pixels);
+    let at = |x: usize, y: usize| &pixels[3 * (y * width + x)..][..3];
     assert_eq!(at(1, 1), [126, 28, 32]);
-    assert_ne!(at(view.width - 2, 1), at(1, 1));
+    assert_ne!(at(width - 2, 1), at(1, 1));
 }

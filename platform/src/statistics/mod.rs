@@ -1,0 +1,190 @@
+//! What a drive was like: times in histograms, and counts.
+//!
+//! In: every frame and every publication as it happens. Out: percentiles and named counts for `report.json`, one line of
+//! text for a service manager, and what the latency picture is drawn from. Invariant: memory is [`DriveStatistics::BYTES`]
+//! whatever the drive's length, all of it resident from the start. Cost: O(1) a record, without allocation; so the
+//! publisher's thread may record too. Only what asks for a summary at the end allocates. A counter that is full stays so.
+
+mod histogram;
+mod summary;
+#[cfg(test)]
+mod tests;
+
+pub use histogram::{LatencyHistogram, Percentiles};
+pub use summary::{Counts, Drops, Status};
+
+use freespace::health::{Faults, QualityLevel, ScaleState, TrackingState};
+use freespace::pipeline::{KeyFrameOutput, Stage, StageTimes};
+
+/// What a miss is blamed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blame {
+    /// The frame itself came late, or never.
+    Camera,
+    /// A stage that was late, hung or failed.
+    Stage(Stage),
+}
+
+impl Blame {
+    /// Every blame, in the order of the pipeline.
+    pub const ALL: [Self; 1 + Stage::ALL.len()] = {
+        let mut all = [Self::Camera; 1 + Stage::ALL.len()];
+        let mut i = 0;
+        while i < Stage::ALL.len() {
+            all[1 + i] = Self::Stage(Stage::ALL[i]);
+            i += 1;
+        }
+        all
+    };
+
+    /// The blame's one name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Camera => "camera",
+            Self::Stage(stage) => stage.name(),
+        }
+    }
+
+    const fn index(self) -> usize {
+        match self {
+            Self::Camera => 0,
+            Self::Stage(stage) => 1 + stage as usize,
+        }
+    }
+}
+
+/// What the statistics take of one publication; `Copy`, so that it passes through any ring.
+#[derive(Clone, Copy, Debug)]
+pub struct Publication {
+    /// Quality.
+    pub level: QualityLevel,
+    /// Its reasons.
+    pub faults: Faults,
+    /// Where the scale comes from.
+    pub scale: ScaleState,
+    /// Time of each stage; zero where it did not run for this publication.
+    pub times: StageTimes,
+    /// From capture to publication.
+    pub latency_micros: u64,
+    /// Whether the wanted level was not out by the deadline.
+    pub is_miss: bool,
+}
+
+impl Publication {
+    /// Of an output that has left.
+    #[must_use]
+    pub const fn of(output: &KeyFrameOutput, latency_micros: u64, is_miss: bool) -> Self {
+        Self {
+            level: output.level,
+            faults: output.faults,
+            scale: output.scale,
+            times: output.times,
+            latency_micros,
+            is_miss,
+        }
+    }
+}
+
+const LEVELS: [QualityLevel; 6] = [
+    QualityLevel::Full,
+    QualityLevel::NoRefinement,
+    QualityLevel::NoFreshNetwork,
+    QualityLevel::NoFreshMap,
+    QualityLevel::Moved,
+    QualityLevel::Invalid,
+];
+
+/// A drive in numbers.
+#[derive(Clone, Debug)]
+pub struct DriveStatistics {
+    capture_to_publish: LatencyHistogram,
+    stages: [LatencyHistogram; Stage::ALL.len()],
+    frame: LatencyHistogram,
+    frames: u64,
+    key_frames: u64,
+    misses: u64,
+    misses_by_blame: [u64; Blame::ALL.len()],
+    levels: [u64; LEVELS.len()],
+    faults: [u64; Faults::NAMED.len()],
+    tracking: [u64; summary::TRACKING.len()],
+    scale: [u64; summary::SCALE.len()],
+    drops: Drops,
+}
+
+impl Default for DriveStatistics {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl DriveStatistics {
+    /// Memory of the whole.
+    pub const BYTES: usize = size_of::<Self>() + (2 + Stage::ALL.len()) * LatencyHistogram::BYTES;
+
+    /// Allocates everything.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            capture_to_publish: LatencyHistogram::new(),
+            stages: std::array::from_fn(|_| LatencyHistogram::new()),
+            frame: LatencyHistogram::new(),
+            frames: 0,
+            key_frames: 0,
+            misses: 0,
+            misses_by_blame: [0; Blame::ALL.len()],
+            levels: [0; LEVELS.len()],
+            faults: [0; Faults::NAMED.len()],
+            tracking: [0; summary::TRACKING.len()],
+            scale: [0; summary::SCALE.len()],
+            drops: Drops::default(),
+        }
+    }
+
+    /// A frame went through *frame* and *track*.
+    pub fn frame(&mut self, tracking: TrackingState) {
+        add(&mut self.frames);
+        add(&mut self.tracking[tracking as usize]);
+    }
+
+    /// Time that a frame took in *frame* and *track* together; for every frame, key frame or not.
+    pub fn frame_micros(&mut self, micros: u64) {
+        self.frame.record(micros);
+    }
+
+    /// A key frame's answer, fallbacks among them, was published.
+    pub fn publication(&mut self, publication: &Publication) {
+        add(&mut self.key_frames);
+        self.capture_to_publish.record(publication.latency_micros);
+        add(&mut self.levels[publication.level as usize]);
+        add(&mut self.scale[publication.scale as usize]);
+        if publication.is_miss {
+            add(&mut self.misses);
+        }
+        for (count, (fault, _)) in self.faults.iter_mut().zip(Faults::NAMED) {
+            if publication.faults.contains(fault) {
+                add(count);
+            }
+        }
+        for (histogram, micros) in self.stages.iter_mut().zip(publication.times.0) {
+            // A fallback ran no stage but the last: that is no sample of zero.
+            if micros > 0 {
+                histogram.record(micros);
+            }
+        }
+    }
+
+    /// Says what a miss that was published, or will be, came from; a miss without a blame is reported as `unknown`.
+    pub fn miss(&mut self, blame: Blame) {
+        add(&mut self.misses_by_blame[blame.index()]);
+    }
+
+    /// Sets what was lost so far.
+    pub fn set_drops(&mut self, drops: Drops) {
+        self.drops = drops;
+    }
+}
+
+fn add(count: &mut u64) {
+    *count = count.saturating_add(1);
+}
