@@ -29,7 +29,7 @@ pub struct Cli {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Drive a simulated road through the full pipeline at real pace.
+    /// Drive a simulated road through the full pipeline.
     Demo(DemoArgs),
     /// Run recorded frames, and a CAN log, through the full pipeline.
     Replay(ReplayArgs),
@@ -43,7 +43,8 @@ pub enum Command {
 #[command(after_help = "\
 Examples:
   freespace demo
-  freespace demo --seconds 60 --seed 7 --out out/demo7")]
+  freespace demo --seconds 60 --seed 7 --out out/demo7
+  freespace demo --seed 3 --pace fast --out out/demo3")]
 pub struct DemoArgs {
     /// Length of the drive in seconds.
     #[arg(long, default_value_t = 30.0, value_name = "N", value_parser = seconds)]
@@ -57,6 +58,9 @@ pub struct DemoArgs {
     /// Configuration; the shipped config/demo.toml without it.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Frames at the pace of their stamps, or as fast as they are worked off (same seed, same bytes out).
+    #[arg(long, value_enum, default_value_t = Pace::Real)]
+    pub pace: Pace,
     /// Print the report as JSON in place of the table.
     #[arg(long)]
     pub json: bool,
@@ -112,7 +116,7 @@ pub struct TruthArgs {
     pub truth: TruthKind,
 }
 
-/// Pace of a replay.
+/// Pace of a demo or a replay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Pace {
     /// That of the stamps.
