@@ -3,6 +3,8 @@
 //! Capacities bound memory, caps bound work, slices bound time. What happens when one is reached is written at its use
 //! and counted there.
 
+use crate::stage::Stage;
+
 /// Bytes of a pixel row are never padded: a frame is at most this wide and high.
 pub const MAX_WIDTH_PX: usize = 1920;
 /// See [`MAX_WIDTH_PX`].
@@ -76,6 +78,91 @@ pub const MAX_TAPS: usize = 10;
 
 /// A grid for every key frame is out this long after its capture (section 1 of the promise).
 pub const DEADLINE_MICROS: u64 = 500_000;
+
+/// One line of the deadline's table.
+#[derive(Clone, Copy, Debug)]
+pub struct Slice {
+    /// Whose it is.
+    pub stage: Stage,
+    /// Its length.
+    pub micros: u64,
+    /// What happens when it runs out.
+    pub when_out: &'static str,
+}
+
+const fn slice(stage: Stage, micros: u64, when_out: &'static str) -> Slice {
+    Slice {
+        stage,
+        micros,
+        when_out,
+    }
+}
+
+/// Time slices of a key frame, in the order they are spent; each ends where those before it and itself are spent, counted
+/// from the capture. About ten times what the stages take undisturbed on two cores, but for the network.
+pub const SLICES: [Slice; Stage::ALL.len()] = [
+    slice(Stage::Frame, 10_000, "the frame goes on; later stages have less"),
+    slice(Stage::Track, 30_000, "the frame goes on; later stages have less"),
+    slice(
+        Stage::Map,
+        50_000,
+        "bundle adjustment stops; may it not start, the map is held",
+    ),
+    slice(
+        Stage::Priors,
+        30_000,
+        "may it not start, plane and boxes are held",
+    ),
+    slice(
+        Stage::Segmentation,
+        50_000,
+        "the network is stopped; its last answer, moved, stands in",
+    ),
+    slice(
+        Stage::Crf,
+        50_000,
+        "the cut stops; may it not start, each pixel decides alone",
+    ),
+    slice(
+        Stage::Grid,
+        20_000,
+        "may it not start, the key frame is left to the publisher",
+    ),
+    slice(Stage::Emit, 10_000, "the grid is late, and marked so"),
+];
+
+/// Time that stages may be late by and still start.
+pub const RESERVE_MICROS: u64 = 150_000;
+
+/// A fallback leaves this long before the deadline: longer than a scheduler that holds the process to half of a core, or
+/// halts it, keeps the publisher waiting (periods of 100 ms are usual).
+pub const GUARD_MICROS: u64 = 100_000;
+
+const _: () = {
+    let mut sum = RESERVE_MICROS + GUARD_MICROS;
+    let mut index = 0;
+    while index < SLICES.len() {
+        assert!(
+            SLICES[index].stage as usize == index,
+            "slices stand in the order of the stages"
+        );
+        sum += SLICES[index].micros;
+        index += 1;
+    }
+    assert!(
+        sum == DEADLINE_MICROS,
+        "slices, reserve and guard make up the deadline"
+    );
+};
+
+/// An answer older than this is moved no further: what it called free has faded to unknown by then.
+pub const STALE_MICROS: u64 = 2_500_000;
+
+/// A task that stays in one stage this long hangs: the process ends, to be started anew by its supervisor.
+pub const HANG_MICROS: u64 = 5_000_000;
+
+/// Panics a drive survives by starting a part anew; one more, and the process ends.
+pub const RESTARTS: u32 = 3;
 
 /// Bundle-adjustment iterations a key frame, at most.
 pub const BUNDLE_REFINEMENTS: usize = 10;

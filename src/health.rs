@@ -6,6 +6,7 @@
 use core::ops::{BitOr, BitOrAssign};
 
 use crate::frame::ImageFault;
+use crate::stage::Stage;
 
 /// How good a published grid is, best first (the deadline's ladder).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -52,6 +53,56 @@ impl QualityLevel {
             5 => Self::Invalid,
             _ => return None,
         })
+    }
+}
+
+/// What held an answer back, or lowered its level.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blame {
+    /// No frame came.
+    Camera,
+    /// A stage ran out of its slice, hung, failed or panicked.
+    Stage(Stage),
+}
+
+impl Blame {
+    /// Everyone who may be blamed, in the order of their numbers on the wire, which begin at 1.
+    pub const ALL: [Self; Stage::ALL.len() + 1] = {
+        let mut all = [Self::Camera; Stage::ALL.len() + 1];
+        let mut index = 0;
+        while index < Stage::ALL.len() {
+            all[index] = Self::Stage(Stage::ALL[index]);
+            index += 1;
+        }
+        all
+    };
+
+    /// The number on the wire; 0 is nobody.
+    #[must_use]
+    pub const fn to_wire(blame: Option<Self>) -> u8 {
+        match blame {
+            None => 0,
+            Some(Self::Stage(stage)) => stage as u8 + 1,
+            Some(Self::Camera) => Stage::ALL.len() as u8 + 1,
+        }
+    }
+
+    /// The blame of a number on the wire; none for numbers that mean nothing.
+    #[must_use]
+    pub fn from_wire(number: u8) -> Option<Option<Self>> {
+        match usize::from(number).checked_sub(1) {
+            None => Some(None),
+            Some(index) => Self::ALL.get(index).map(|blame| Some(*blame)),
+        }
+    }
+
+    /// Name in reports: the stage's, or `camera`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Camera => "camera",
+            Self::Stage(stage) => stage.name(),
+        }
     }
 }
 
@@ -156,9 +207,19 @@ impl Faults {
     pub const HANDOVER_DROPPED: Self = Self(1 << 16);
     /// A CAN frame could not be sent (queue full or bus off).
     pub const CAN_SEND_FAILED: Self = Self(1 << 17);
+    /// A stage panicked; its part was started anew.
+    pub const STAGE_PANICKED: Self = Self(1 << 18);
+    /// The module is being shut down: no grid follows.
+    pub const SHUTTING_DOWN: Self = Self(1 << 19);
+    /// Running without real-time rights or locked memory: deadlines are kept as far as the machine lets it.
+    pub const RIGHTS_LACKING: Self = Self(1 << 20);
+    /// The last answer is too old to be moved any further.
+    pub const GRID_STALE: Self = Self(1 << 21);
+    /// A frame that should have become a key frame did not come through *frame* and *track* in time.
+    pub const KEY_FRAME_MISSING: Self = Self(1 << 22);
 
     /// Every fault with its name, in bit order.
-    pub const NAMED: [(Self, &'static str); 18] = [
+    pub const NAMED: [(Self, &'static str); 23] = [
         (Self::IMAGE_BLACK, "image_black"),
         (Self::IMAGE_OVEREXPOSED, "image_overexposed"),
         (Self::IMAGE_FROZEN, "image_frozen"),
@@ -177,6 +238,11 @@ impl Faults {
         (Self::CLOCK_OFFSET, "clock_offset"),
         (Self::HANDOVER_DROPPED, "handover_dropped"),
         (Self::CAN_SEND_FAILED, "can_send_failed"),
+        (Self::STAGE_PANICKED, "stage_panicked"),
+        (Self::SHUTTING_DOWN, "shutting_down"),
+        (Self::RIGHTS_LACKING, "rights_lacking"),
+        (Self::GRID_STALE, "grid_stale"),
+        (Self::KEY_FRAME_MISSING, "key_frame_missing"),
     ];
 
     /// Whether all of `other` are in this set.
@@ -257,6 +323,14 @@ mod tests {
         assert_eq!(all.names().count(), Faults::NAMED.len());
         let two = Faults::PLANE_HELD | Faults::NETWORK_LATE;
         assert_eq!(two.names().collect::<Vec<_>>(), ["network_late", "plane_held"]);
+    }
+
+    #[test]
+    fn blame_survives_the_wire() {
+        for blame in Blame::ALL.map(Some).into_iter().chain([None]) {
+            assert_eq!(Blame::from_wire(Blame::to_wire(blame)), Some(blame));
+        }
+        assert_eq!(Blame::from_wire(Stage::ALL.len() as u8 + 2), None);
     }
 
     #[test]

@@ -16,6 +16,7 @@ pub mod health;
 pub mod pipeline;
 pub mod port;
 pub mod space;
+pub mod stage;
 
 pub mod crf;
 pub mod emit;

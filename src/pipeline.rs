@@ -10,11 +10,16 @@
 
 mod emit_task;
 mod frame_task;
+mod key_frame_output;
 mod key_frame_task;
+mod publish_task;
+mod stopwatch;
 
 pub use emit_task::EmitTask;
 pub use frame_task::{FrameOutcome, FrameTask, KeyFrameJob};
-pub use key_frame_task::{KeyFrameOutput, KeyFrameTask, Lesson, Pace};
+pub use key_frame_output::KeyFrameOutput;
+pub use key_frame_task::{KeyFrameTask, Lesson};
+pub use publish_task::{PublishTask, Workers};
 
 use crate::crf::CrfConfig;
 use crate::deadline::Slices;
@@ -23,6 +28,7 @@ use crate::grid::GridConfig;
 use crate::map::MapConfig;
 use crate::priors::PriorsConfig;
 use crate::segmentation::ColourConfig;
+pub use crate::stage::{Stage, StageTimes};
 use crate::track::{TrackConfig, WheelConfig};
 
 /// Everything the stages are built from.
@@ -61,69 +67,11 @@ pub enum Cadence {
     OnDemand,
 }
 
-/// The stages, in their order; the name is the same in modules, timing columns and config tables.
+/// Whether the clock may cut refinement short.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Stage 1.
-    Frame,
-    /// Stage 2.
-    Track,
-    /// Stage 3.
-    Map,
-    /// Stage 4.
-    Priors,
-    /// Stage 5.
-    Segmentation,
-    /// Stage 6.
-    Crf,
-    /// Stage 7.
-    Grid,
-    /// Stage 8.
-    Emit,
-}
-
-impl Stage {
-    /// All stages, in their order.
-    pub const ALL: [Self; 8] = [
-        Self::Frame,
-        Self::Track,
-        Self::Map,
-        Self::Priors,
-        Self::Segmentation,
-        Self::Crf,
-        Self::Grid,
-        Self::Emit,
-    ];
-
-    /// The stage's one name.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Frame => "frame",
-            Self::Track => "track",
-            Self::Map => "map",
-            Self::Priors => "priors",
-            Self::Segmentation => "segmentation",
-            Self::Crf => "crf",
-            Self::Grid => "grid",
-            Self::Emit => "emit",
-        }
-    }
-}
-
-/// Microseconds spent in each stage for one key frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct StageTimes(pub [u64; Stage::ALL.len()]);
-
-impl StageTimes {
-    /// Adds to a stage.
-    pub const fn add(&mut self, stage: Stage, micros: u64) {
-        self.0[stage as usize] += micros;
-    }
-
-    /// Microseconds of a stage.
-    #[must_use]
-    pub const fn of(&self, stage: Stage) -> u64 {
-        self.0[stage as usize]
-    }
+pub enum Pace {
+    /// Slices end by the clock.
+    Real,
+    /// Slices end by their work caps only, so that the same input gives the same output.
+    Reproducible,
 }

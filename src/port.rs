@@ -4,6 +4,7 @@
 
 use alloc::vec::Vec;
 
+use crate::emit::CanFrame;
 use crate::frame::{PixelFormat, RawFrame, RgbImage};
 use crate::segmentation::RoadProbability;
 use crate::space::Micros;
@@ -101,10 +102,33 @@ pub enum CameraAnswer {
 pub trait CameraPort {
     /// Waits for the next frame for a bounded time and writes it to `buffer`.
     fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer;
+
+    /// A source that makes its frames itself leaves out those that a camera would have given to nobody: all but the newest that
+    /// was captured before `now`. Returns how many. A real camera's driver sees to that.
+    fn skip_before(&mut self, now: Micros) -> u64 {
+        let _ = now;
+        0
+    }
 }
 
 /// A source of wheel readings.
 pub trait WheelPort {
     /// Hands over, in order, each reading with a stamp of at most `until` that was not handed over yet.
     fn readings_until(&mut self, until: Micros, take: &mut dyn FnMut(WheelReading));
+}
+
+/// Why a sink did not take a publication.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SinkMiss {
+    /// Its queue is full, or its bus is off: counted, and said in the next message.
+    Refused,
+}
+
+/// Where publications go.
+pub trait SinkPort {
+    /// Takes a message and its CAN frames, or refuses; it must not wait.
+    ///
+    /// # Errors
+    /// [`SinkMiss`]; what was sent of the publication until then stays sent.
+    fn publish(&mut self, message: &[u8], frames: &[CanFrame]) -> Result<(), SinkMiss>;
 }

@@ -16,6 +16,8 @@ use freespace::space::Mount;
 use freespace::track::{TrackConfig, WheelConfig};
 use freespace_platform::camera::SimFrames;
 use freespace_platform::runtime::allocation::CountingAllocator;
+use freespace_platform::runtime::memory::MemoryPlan;
+use freespace_platform::runtime::rights::RealTimeConfig;
 use freespace_platform::runtime::{
     Devices, FrameReport, KeyFrameReport, Observer, RunSummary, Setup, run_in_lockstep,
 };
@@ -173,7 +175,11 @@ fn drive(failing: std::ops::Range<u32>, has_wheels: bool) -> (Log, RunSummary) {
             wheels: has_wheels.then_some(Box::new(wheels)),
             segmenter: Box::new(Triangle::new(failing)),
             tiles: TileConfig::default(),
+            sinks: Vec::new(),
         },
+        real_time: RealTimeConfig::default(),
+        plan: MemoryPlan::new(),
+        lacks: Vec::new(),
     };
     let mut log = Log::default();
     let summary = run_in_lockstep(setup, &mut log);

@@ -20,6 +20,7 @@ use num_traits::Float as _;
 use super::Header;
 use super::crc::crc8;
 use crate::budget::SECTORS;
+use crate::health::Blame;
 
 /// A frame for any CAN driver.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -154,7 +155,8 @@ fn timing(h: &Header) -> (u32, u64) {
     let millis = |micros: u64| micros as f64 * 1e-3;
     let payload = unsigned(millis(h.publish.since(h.capture)), 0.1, 16, 16)
         | unsigned(millis(u64::from(h.used_micros)), 0.1, 32, 16)
-        | unsigned(millis(u64::from(h.budget_micros)), 0.1, 48, 16)
+        | unsigned(millis(u64::from(h.budget_micros)), 1.0, 48, 12)
+        | u64::from(Blame::to_wire(h.blame)) << 60
         | u64::from(h.publish > h.deadline) << 12;
     (TIMING_ID, payload)
 }

@@ -8,7 +8,7 @@
 //! | 12     | `u32`     | fault bits |
 //! | 16     | `u64` x 4 | sequence; capture, publish and deadline stamps in microseconds |
 //! | 48     | `u32 u32` | budget and used microseconds |
-//! | 56     | `u8` x 4  | quality level, scale state, tracking state, 0 |
+//! | 56     | `u8` x 4  | quality level, scale state, tracking state, blame |
 //! | 60     | `u32`     | plane inliers |
 //! | 64     | `f64` x 7 | position (m), orientation (x y z w) of the vehicle in the world |
 //! | 120    | `f32` x 2 | speed (m/s), yaw rate (rad/s) |
@@ -31,7 +31,7 @@
 use super::crc::crc32;
 use super::{Header, Publication};
 use crate::budget::{MAX_CELLS, SECTORS};
-use crate::health::{Faults, QualityLevel, ScaleState, TrackingState};
+use crate::health::{Blame, Faults, QualityLevel, ScaleState, TrackingState};
 use crate::space::Micros;
 
 /// First bytes of a message.
@@ -127,7 +127,12 @@ impl Publication<'_> {
         }
         w.put(&h.budget_micros.to_le_bytes());
         w.put(&h.used_micros.to_le_bytes());
-        w.put(&[h.level as u8, h.scale as u8, h.tracking as u8, 0]);
+        w.put(&[
+            h.level as u8,
+            h.scale as u8,
+            h.tracking as u8,
+            Blame::to_wire(h.blame),
+        ]);
         w.put(&h.plane_inliers.to_le_bytes());
         for value in h.position_m.iter().chain(&h.orientation) {
             w.put(&value.to_le_bytes());
@@ -256,10 +261,11 @@ impl<'a> FreeSpaceMessage<'a> {
             used_micros: r.u32()?,
             ..Header::default()
         };
-        let [level, scale, tracking, _] = r.take()?;
+        let [level, scale, tracking, blame] = r.take()?;
         header.level = QualityLevel::from_wire(level).ok_or(DecodeError::UnknownState)?;
         header.scale = ScaleState::from_wire(scale).ok_or(DecodeError::UnknownState)?;
         header.tracking = TrackingState::from_wire(tracking).ok_or(DecodeError::UnknownState)?;
+        header.blame = Blame::from_wire(blame).ok_or(DecodeError::UnknownState)?;
         header.plane_inliers = r.u32()?;
         header.position_m = r.f64s()?;
         header.orientation = r.f64s()?;
@@ -315,6 +321,7 @@ mod tests {
             used_micros: 88_000,
             level: QualityLevel::from_wire((seed % 6) as u8).unwrap(),
             faults: Faults(seed),
+            blame: Blame::from_wire((seed % 10) as u8).unwrap(),
             scale: ScaleState::Wheels,
             tracking: TrackingState::Standstill,
             position_m: [1.0, -2.0, f64::from(seed)],

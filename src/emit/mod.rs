@@ -13,7 +13,7 @@ pub use message::{DecodeError, EncodeError, FreeSpaceMessage};
 
 use crate::budget::SECTORS;
 use crate::grid::Grid;
-use crate::health::{Faults, QualityLevel, ScaleState, TrackingState};
+use crate::health::{Blame, Faults, QualityLevel, ScaleState, TrackingState};
 use crate::space::Micros;
 
 /// Everything a message says besides the cells.
@@ -35,6 +35,8 @@ pub struct Header {
     pub level: QualityLevel,
     /// Why it is not better.
     pub faults: Faults,
+    /// What held it back.
+    pub blame: Option<Blame>,
     /// Where the metric scale comes from.
     pub scale: ScaleState,
     /// Where the pose comes from.
@@ -74,6 +76,7 @@ impl Default for Header {
             used_micros: 0,
             level: QualityLevel::Invalid,
             faults: Faults::NONE,
+            blame: None,
             scale: ScaleState::Unknown,
             tracking: TrackingState::DeadReckoning,
             position_m: [0.0; 3],

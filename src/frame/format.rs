@@ -77,6 +77,8 @@ pub enum FrameError {
     WrongLength,
     /// Not the configured size, or an odd one in a format of pixel pairs: the camera was set up differently.
     WrongSize,
+    /// The stage itself failed: drop it.
+    Refused,
 }
 
 impl core::fmt::Display for FrameError {
@@ -84,6 +86,7 @@ impl core::fmt::Display for FrameError {
         f.write_str(match self {
             Self::WrongLength => "the frame's length does not fit its format and size",
             Self::WrongSize => "the frame's size is not the configured one",
+            Self::Refused => "the frame stage failed",
         })
     }
 }

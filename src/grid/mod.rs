@@ -160,6 +160,13 @@ impl Grid {
         Self::new(rows, columns, cell_m)
     }
 
+    /// Forgets every cell.
+    pub fn clear(&mut self) {
+        self.occupancy.fill(-1);
+        self.reason.fill(0);
+        self.age.fill(u8::MAX);
+    }
+
     /// Takes the cells of a grid of the same size.
     ///
     /// # Panics

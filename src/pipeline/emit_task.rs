@@ -1,11 +1,12 @@
 //! The last stage, *emit*: what is published for a key frame, as bytes and CAN frames.
 
-use super::{KeyFrameOutput, Stage};
+use super::KeyFrameOutput;
 use crate::deadline::Slices;
 use crate::emit::{CanEncoder, Header, Publication};
 use crate::frame::Camera;
 use crate::port::Clock;
 use crate::space::Micros;
+use crate::stage::Stage;
 #[allow(
     unused_imports,
     reason = "float methods come from std where that feature is on"
@@ -56,7 +57,7 @@ impl EmitTask {
         let rotation = vehicle.rotation.coords;
         let plane = output.priors.plane;
         Header {
-            sequence: u64::from(output.sequence),
+            sequence: output.publication,
             capture: output.stamp,
             publish,
             deadline: output.stamp.plus(self.deadline_micros),
@@ -64,6 +65,7 @@ impl EmitTask {
             used_micros: publish.since(output.stamp).min(u64::from(u32::MAX)) as u32,
             level: output.level,
             faults: output.faults,
+            blame: output.blame,
             scale: output.scale,
             tracking: output.tracking,
             position_m: vehicle.translation.vector.into(),

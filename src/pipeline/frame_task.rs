@@ -2,12 +2,14 @@
 
 use alloc::boxed::Box;
 
-use super::{Cadence, Lesson, PipelineConfig, Stage, StageTimes};
+use super::{Cadence, Lesson, PipelineConfig};
+use crate::deadline::Announcement;
 use crate::frame::{FrameError, FrameStage, ImageFault, RawFrame, RgbImage};
 use crate::health::{Faults, TrackingState};
 use crate::map::{View, ViewBatch};
 use crate::port::Clock;
 use crate::space::{Micros, Plane, Pose};
+use crate::stage::{Stage, StageProbe, StageTimes};
 use crate::track::{FrameEstimate, Tracker, Travel, WheelOdometer, WheelReading};
 
 /// What a key frame is made of.
@@ -19,6 +21,8 @@ pub struct KeyFrameJob {
     pub frame: u64,
     /// Capture stamp.
     pub stamp: Micros,
+    /// The instant of the cadence that it serves; none where it was asked for out of turn.
+    pub due: Option<Micros>,
     /// Pose as tracked.
     pub world_from_camera: Pose,
     /// Pose of the newest view, of this job or an earlier one, in the same chain.
@@ -47,6 +51,7 @@ impl KeyFrameJob {
             sequence: 0,
             frame: 0,
             stamp: Micros::default(),
+            due: None,
             world_from_camera: Pose::identity(),
             world_from_view: None,
             tracking: TrackingState::DeadReckoning,
@@ -57,6 +62,18 @@ impl KeyFrameJob {
             image: RgbImage::new(width, height),
             times: StageTimes::default(),
         })
+    }
+
+    /// What the publisher is told of it.
+    #[must_use]
+    pub const fn announcement(&self) -> Announcement {
+        Announcement {
+            sequence: self.sequence,
+            frame: self.frame,
+            stamp: self.stamp,
+            due: self.due,
+            world_from_camera: self.world_from_camera,
+        }
     }
 
     fn clear(&mut self) {
@@ -75,6 +92,8 @@ pub struct FrameOutcome {
     pub fault: Option<ImageFault>,
     /// Whether the job is complete: this frame is a key frame.
     pub is_key_frame: bool,
+    /// Time that *frame* and *track* took.
+    pub micros: u64,
 }
 
 /// The work of every frame.
@@ -109,6 +128,20 @@ impl FrameTask {
         }
     }
 
+    /// A task to go on in place of this one after a panic: it keeps the count of frames, the cadence and the last pose, and
+    /// nothing that the panic may have left half done.
+    #[must_use]
+    pub fn renewed(&self, config: &PipelineConfig) -> Self {
+        let mut task = Self::new(config);
+        task.next_key_frame = self.next_key_frame;
+        task.frames = self.frames;
+        task.sequence = self.sequence;
+        task.rejected_views = self.rejected_views;
+        task.tracker = self.tracker.renewed(&config.track);
+        task.plane_in_camera = self.plane_in_camera;
+        task
+    }
+
     /// Takes a wheel reading; readings up to a frame's stamp, and better a little beyond, come before the frame.
     pub fn wheel(&mut self, reading: WheelReading) {
         if let Some(odometer) = &mut self.wheels {
@@ -134,23 +167,28 @@ impl FrameTask {
         key_frame_wanted: bool,
         job: &mut KeyFrameJob,
         clock: &impl Clock,
+        probe: &impl StageProbe,
     ) -> Result<FrameOutcome, FrameError> {
         let begin = clock.now();
+        if !probe.enter(Stage::Frame) {
+            return Err(FrameError::Refused);
+        }
         let fault = self.stage.step(raw)?;
         let decoded = clock.now();
+        let is_sound = probe.enter(Stage::Track);
         let travel = self
             .wheels
             .as_ref()
             .and_then(|wheels| wheels.travel_at(raw.stamp));
         let estimate = match fault {
-            None => self.tracker.step(
+            None if is_sound => self.tracker.step(
                 self.stage.previous_pyramid(),
                 self.stage.pyramid(),
                 raw.stamp,
                 travel,
                 &self.plane_in_camera,
             ),
-            Some(_) => self.tracker.coast(raw.stamp, travel),
+            _ => self.tracker.coast(raw.stamp, travel),
         };
         self.collect_view(job);
         if let Some(fault) = fault {
@@ -159,8 +197,10 @@ impl FrameTask {
         if self.wheels.is_some() && travel.is_none() {
             job.faults.insert(Faults::WHEELS_SILENT);
         }
-        let is_key_frame = self.is_due(raw.stamp) || key_frame_wanted;
+        let due = self.due(raw.stamp);
+        let is_key_frame = due.is_some() || key_frame_wanted;
         if is_key_frame {
+            job.due = due;
             self.complete(raw, &estimate, job);
         }
         let end = clock.now();
@@ -173,6 +213,7 @@ impl FrameTask {
             estimate,
             fault,
             is_key_frame,
+            micros: end.since(begin),
         })
     }
 
@@ -203,21 +244,20 @@ impl FrameTask {
         }
     }
 
-    fn is_due(&mut self, stamp: Micros) -> bool {
-        match self.cadence {
-            Cadence::OnDemand => false,
-            Cadence::Micros(period) => {
-                let due = *self.next_key_frame.get_or_insert(stamp);
-                if stamp < due {
-                    return false;
-                }
-                let mut next = due;
-                // One step, or as many as a gap in the frames spans.
-                next = next.plus(period.max(1) * (1 + stamp.since(next) / period.max(1)));
-                self.next_key_frame = Some(next);
-                true
-            }
+    /// The instant of the cadence that a frame at `stamp` serves.
+    fn due(&mut self, stamp: Micros) -> Option<Micros> {
+        let Cadence::Micros(period) = self.cadence else {
+            return None;
+        };
+        let period = period.max(1);
+        let next = *self.next_key_frame.get_or_insert(stamp);
+        if stamp < next {
+            return None;
         }
+        // A gap in the frames may span several instants: the frame serves the last of them.
+        let due = next.plus(stamp.since(next) / period * period);
+        self.next_key_frame = Some(due.plus(period));
+        Some(due)
     }
 
     fn complete(&mut self, raw: &RawFrame<'_>, estimate: &FrameEstimate, job: &mut KeyFrameJob) {

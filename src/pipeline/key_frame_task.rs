@@ -3,26 +3,27 @@
 use alloc::boxed::Box;
 use alloc::vec;
 
-use super::{KeyFrameJob, PipelineConfig, Stage, StageTimes};
 use nalgebra::Vector3;
-
-use crate::budget::{BUNDLE_REFINEMENTS, CUT_QUANTA, CUT_QUANTUM_STEPS, ISLAND_RANGE_M};
-use crate::crf::{Ablation, CrfInputs, CrfStage, Islands};
-use crate::deadline::{Announcement, Slices};
-use crate::emit::{CanFrame, FreeSpaceMessage, can::FRAMES};
-use crate::frame::{Camera, Lens, PixelFormat, RawFrame, RayTable, RgbImage};
-use crate::grid::{Boundary, Grid, GridStage};
-use crate::health::{Faults, QualityLevel, ScaleState, TrackingState};
-use crate::map::{Map, MapUpdate};
-use crate::port::{Clock, NetworkMiss, RoadNetwork};
-use crate::priors::{Priors, PriorsStage, ScaleEstimate};
-use crate::segmentation::{ColourLines, RoadProbability, reproject};
-use crate::space::{Micros, Plane, Pose};
 #[allow(
     unused_imports,
     reason = "float methods come from std where that feature is on"
 )]
 use num_traits::Float as _;
+
+use super::stopwatch::Stopwatch;
+use super::{KeyFrameJob, KeyFrameOutput, Pace, PipelineConfig};
+use crate::budget::{BUNDLE_REFINEMENTS, CUT_QUANTA, CUT_QUANTUM_STEPS, ISLAND_RANGE_M};
+use crate::crf::{Ablation, CrfInputs, CrfStage, Islands};
+use crate::deadline::Slices;
+use crate::frame::{Camera, Lens, PixelFormat, RawFrame, RayTable, RgbImage};
+use crate::grid::GridStage;
+use crate::health::{Blame, Faults, QualityLevel, ScaleState};
+use crate::map::{Map, MapUpdate};
+use crate::port::{Clock, NetworkMiss, RoadNetwork};
+use crate::priors::{PriorsStage, ScaleEstimate};
+use crate::segmentation::{ColourLines, RoadProbability, reproject};
+use crate::space::{Plane, Pose};
+use crate::stage::{Stage, StageProbe, StageTimes};
 
 /// Confidence in road of what an island was, at most.
 const ISLAND_CONFIDENCE: f32 = 0.45;
@@ -32,154 +33,6 @@ const SCALE_CONFIDENCE: f32 = 0.1;
 const SCALE_GAIN: f64 = 0.25;
 /// How much of a probability's distance from undecided survives where it stands in for a fresh one.
 const REPROJECTED_TRUST: f32 = 0.8;
-
-/// Everything a key frame gives.
-#[derive(Clone, Debug)]
-pub struct KeyFrameOutput {
-    /// Number of the key frame.
-    pub sequence: u32,
-    /// Index of its frame.
-    pub frame: u64,
-    /// Capture stamp.
-    pub stamp: Micros,
-    /// Refined pose.
-    pub world_from_camera: Pose,
-    /// State of the tracker.
-    pub tracking: TrackingState,
-    /// Where the scale comes from.
-    pub scale: ScaleState,
-    /// Speed over ground.
-    pub speed_mps: f64,
-    /// Quality.
-    pub level: QualityLevel,
-    /// Its reasons.
-    pub faults: Faults,
-    /// Labels at working size, `[height, width] u8`, 1 = road.
-    pub labels: Box<[u8]>,
-    /// Confidence in road at working size, `[height, width] f32` in 0..1.
-    pub confidence: Box<[f32]>,
-    /// Bound on the relative gap between the labelling's energy and the minimum.
-    pub energy_gap: f32,
-    /// Road plane in camera space.
-    pub plane_in_camera: Plane,
-    /// Road plane and boxes in world space.
-    pub priors: Priors,
-    /// The grid.
-    pub grid: Grid,
-    /// Free distance in each bearing sector.
-    pub boundary: Boundary,
-    /// Landmarks in the map.
-    pub landmarks: usize,
-    /// The free-space message, `message_len` bytes of it.
-    pub message: Box<[u8]>,
-    /// See `message`.
-    pub message_len: usize,
-    /// The CAN frames.
-    pub can_frames: heapless::Vec<CanFrame, FRAMES>,
-    /// Time spent in each stage.
-    pub times: StageTimes,
-}
-
-impl KeyFrameOutput {
-    /// An empty output of the sizes of `config`.
-    #[must_use]
-    pub fn new(config: &PipelineConfig) -> Box<Self> {
-        let (width, height) = config.working_size;
-        let grid = Grid::sized(&config.grid);
-        Box::new(Self {
-            message: vec![0; FreeSpaceMessage::encoded_len(grid.rows * grid.columns)].into_boxed_slice(),
-            message_len: 0,
-            can_frames: heapless::Vec::new(),
-            sequence: 0,
-            frame: 0,
-            stamp: Micros::default(),
-            world_from_camera: Pose::identity(),
-            tracking: TrackingState::DeadReckoning,
-            scale: ScaleState::default(),
-            speed_mps: 0.0,
-            level: QualityLevel::Invalid,
-            faults: Faults::NONE,
-            labels: vec![0; width * height].into_boxed_slice(),
-            confidence: vec![0.0; width * height].into_boxed_slice(),
-            energy_gap: 1.0,
-            plane_in_camera: config.camera.mount.plane_in_camera(),
-            priors: Priors::default(),
-            grid,
-            boundary: Boundary::new(0.0, 0.0),
-            landmarks: 0,
-            times: StageTimes::default(),
-        })
-    }
-
-    /// Takes over another output of the same sizes, but for what was emitted of it.
-    pub fn copy_from(&mut self, other: &Self) {
-        let Self {
-            labels,
-            confidence,
-            grid,
-            ..
-        } = self;
-        labels.copy_from_slice(&other.labels);
-        confidence.copy_from_slice(&other.confidence);
-        grid.copy_from(&other.grid);
-        self.boundary = other.boundary;
-        self.priors.clone_from(&other.priors);
-        self.sequence = other.sequence;
-        self.frame = other.frame;
-        self.stamp = other.stamp;
-        self.world_from_camera = other.world_from_camera;
-        self.tracking = other.tracking;
-        self.scale = other.scale;
-        self.speed_mps = other.speed_mps;
-        self.level = other.level;
-        self.faults = other.faults;
-        self.energy_gap = other.energy_gap;
-        self.plane_in_camera = other.plane_in_camera;
-        self.landmarks = other.landmarks;
-        self.times = other.times;
-    }
-
-    /// Becomes the answer to a key frame whose own is late: the last grid, moved by the ego motion and aged, or an invalid
-    /// one before there was any. `carrier` has adopted the last grid.
-    pub fn fall_back(
-        &mut self,
-        last: Option<&Self>,
-        awaited: &Announcement,
-        camera: &Camera,
-        carrier: &mut GridStage,
-    ) {
-        if let Some(last) = last {
-            self.copy_from(last);
-            carrier.carry(
-                &camera.world_from_vehicle(&awaited.world_from_camera),
-                awaited.stamp,
-            );
-            self.grid.copy_from(carrier.grid());
-            self.boundary = *carrier.boundary();
-            self.level = QualityLevel::Moved;
-        } else {
-            self.labels.fill(0);
-            self.confidence.fill(0.0);
-            self.level = QualityLevel::Invalid;
-            self.faults = Faults::NONE;
-        }
-        self.sequence = awaited.sequence;
-        self.frame = awaited.frame;
-        self.stamp = awaited.stamp;
-        self.world_from_camera = awaited.world_from_camera;
-        self.faults.insert(Faults::DEADLINE_MISSED);
-        self.times = StageTimes::default();
-    }
-}
-
-/// Whether the clock may cut refinement short.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pace {
-    /// Slices end by the clock.
-    Real,
-    /// Slices end by their work caps only, so that the same input gives the same output.
-    Reproducible,
-}
 
 /// The work of every key frame.
 pub struct KeyFrameTask {
@@ -258,57 +111,81 @@ impl KeyFrameTask {
     }
 
     /// Takes a job to its output. Whatever goes wrong, `output` holds a valid grid afterwards, and says how good it is.
+    ///
+    /// # Errors
+    /// Whom to blame where it is too late for a grid: the publisher's fallback answers.
     pub fn step(
         &mut self,
         job: &KeyFrameJob,
         network: &mut impl RoadNetwork,
         clock: &impl Clock,
+        probe: &impl StageProbe,
         output: &mut KeyFrameOutput,
         lesson: &mut Lesson,
-    ) {
-        let mut lap = Lap::new(clock, job.times);
+    ) -> Result<(), Blame> {
+        let mut watch = Stopwatch::new(clock, probe, &self.slices, self.pace, job);
         output.faults = job.faults;
-        network.begin(&job.image);
-        lap.end(Stage::Segmentation);
-
-        self.refine_map(job, clock, output);
-        lap.end(Stage::Map);
-
-        let world_from_camera = self.refined_pose(job);
-        self.priors
-            .step(self.map.landmarks(), &world_from_camera, job.stamp);
-        self.teach(lesson);
-        lap.end(Stage::Priors);
-
-        let is_fresh = self.segment(job, &world_from_camera, network, output, &mut lap);
-        self.learn_colours();
-        lap.end(Stage::Segmentation);
-
-        self.label(job, clock, output);
-        lap.end(Stage::Crf);
-
-        let plane_in_camera = self.priors.plane_in_camera();
-        let grid = self.grid.step(
-            &output.labels,
-            &output.confidence,
-            &self.probability.vehicle,
-            self.priors.surface(),
-            &plane_in_camera,
-            &self.camera.world_from_vehicle(&world_from_camera),
-            job.stamp,
+        let is_network_begun = watch.has_time_for(Stage::Segmentation);
+        if is_network_begun {
+            network.begin(&job.image);
+        }
+        let is_map_fresh = self.refine_map(job, &mut watch, output);
+        let world_from_camera = if is_map_fresh {
+            self.refined_pose(job)
+        } else {
+            job.world_from_camera
+        };
+        let are_priors_fresh = self.see_priors(job, &world_from_camera, &mut watch);
+        self.teach(is_map_fresh, lesson);
+        let is_network_fresh = self.segment(
+            job,
+            &world_from_camera,
+            is_network_begun.then_some(network),
+            &mut watch,
+            output,
         );
-        output.grid.copy_from(grid);
-        output.boundary = *self.grid.boundary();
-        lap.end(Stage::Grid);
+        let is_solved = self.label(&mut watch, output);
+        if !watch.start(Stage::Grid) {
+            return Err(self.blame(&watch.times, QualityLevel::Moved, Stage::Grid));
+        }
+        self.draw_grid(job, &world_from_camera, output);
+        watch.end(Stage::Grid);
 
         output.sequence = job.sequence;
         output.frame = job.frame;
+        output.has_frame = true;
         output.stamp = job.stamp;
         output.world_from_camera = world_from_camera;
         output.tracking = job.tracking;
-        output.scale = self.map.scale_state();
         output.speed_mps = job.speed_mps;
-        output.plane_in_camera = plane_in_camera;
+        self.describe(output);
+        let stale = Stale {
+            is_lost: output.faults.contains(Faults::TRACKING_LOST),
+            map: !is_map_fresh,
+            priors: !are_priors_fresh,
+            network: !is_network_fresh,
+            is_map_late: output.faults.contains(Faults::MAP_LATE),
+            is_cut_stopped: !is_solved,
+        };
+        let (level, suspect) = stale.level();
+        output.level = level;
+        output.blame = suspect.map(|stage| self.blame(&watch.times, level, stage));
+        output.times = watch.times;
+        self.last_pose = Some(world_from_camera);
+        Ok(())
+    }
+
+    /// Whom to blame for a level: a stage far beyond its slice takes the time of all that follow it; else the one that its
+    /// stand-in replaced.
+    fn blame(&self, times: &StageTimes, level: QualityLevel, suspect: Stage) -> Blame {
+        let slowest = self.slices.slowest(times).filter(|_| level != QualityLevel::Full);
+        Blame::Stage(slowest.unwrap_or(suspect))
+    }
+
+    /// What the stages know besides the grid.
+    fn describe(&self, output: &mut KeyFrameOutput) {
+        output.scale = self.map.scale_state();
+        output.plane_in_camera = self.priors.plane_in_camera();
         output.priors.clone_from(self.priors.priors());
         if self.priors.priors().plane.is_none_or(|plane| plane.inliers == 0) {
             output.faults.insert(Faults::PLANE_HELD);
@@ -317,17 +194,22 @@ impl KeyFrameTask {
             output.faults.insert(Faults::SCALE_HELD);
         }
         output.landmarks = self.map.landmarks().len();
-        output.level = level(output.faults, is_fresh, self.crf.solved());
-        output.times = lap.times;
-        self.last_pose = Some(world_from_camera);
     }
 
-    /// Stage 3: the batch goes into the map, which is refined until its slice ends.
-    fn refine_map(&mut self, job: &KeyFrameJob, clock: &impl Clock, output: &mut KeyFrameOutput) {
+    /// Stage 3: the batch goes into the map, which is refined until its slice ends; whether it took place.
+    fn refine_map(
+        &mut self,
+        job: &KeyFrameJob,
+        watch: &mut Stopwatch<'_, impl Clock, impl StageProbe>,
+        output: &mut KeyFrameOutput,
+    ) -> bool {
+        if !watch.start(Stage::Map) {
+            output.faults.insert(Faults::MAP_LATE);
+            return false;
+        }
         self.map.insert(&job.batch);
-        let ends = job.stamp.plus(self.slices.map_micros);
         for _ in 0..BUNDLE_REFINEMENTS {
-            if self.is_over(clock, ends) {
+            if watch.is_over(Stage::Map) {
                 output.faults.insert(Faults::MAP_LATE);
                 break;
             }
@@ -345,6 +227,8 @@ impl KeyFrameTask {
             self.map.rescale(correction(&scale, is_first));
             self.map.finish();
         }
+        watch.end(Stage::Map);
+        true
     }
 
     /// The key frame's pose, moved as the map moved its newest view.
@@ -356,20 +240,42 @@ impl KeyFrameTask {
         }
     }
 
-    fn teach(&mut self, lesson: &mut Lesson) {
+    /// Stage 4: plane and boxes of this key frame, or held ones; whether they are fresh.
+    fn see_priors(
+        &mut self,
+        job: &KeyFrameJob,
+        world_from_camera: &Pose,
+        watch: &mut Stopwatch<'_, impl Clock, impl StageProbe>,
+    ) -> bool {
+        let is_fresh = watch.start(Stage::Priors);
+        if is_fresh {
+            self.priors
+                .step(self.map.landmarks(), world_from_camera, job.stamp);
+        } else {
+            self.priors.hold(world_from_camera, job.stamp);
+        }
+        watch.end(Stage::Priors);
+        is_fresh
+    }
+
+    fn teach(&self, is_map_fresh: bool, lesson: &mut Lesson) {
         lesson.update.copy_from(&self.update);
+        if !is_map_fresh {
+            lesson.update.stamp = None;
+        }
         lesson.plane_in_camera = self.priors.plane_in_camera();
     }
 
-    /// Stage 5, first half: the network's answer, or the last one moved by the pose; whether it is fresh.
+    /// Stage 5: the network's answer, or the last one moved by the pose; then the colours. Whether the answer is fresh.
     fn segment(
         &mut self,
         job: &KeyFrameJob,
         world_from_camera: &Pose,
-        network: &mut impl RoadNetwork,
+        network: Option<&mut impl RoadNetwork>,
+        watch: &mut Stopwatch<'_, impl Clock, impl StageProbe>,
         output: &mut KeyFrameOutput,
-        lap: &mut Lap<'_, impl Clock>,
     ) -> bool {
+        let is_sound = watch.enter(Stage::Segmentation);
         let picture = RawFrame {
             stamp: job.stamp,
             format: PixelFormat::Rgb24,
@@ -380,22 +286,25 @@ impl KeyFrameTask {
         // Cannot fail: the working size is at most the camera's.
         let _ = picture.rgb_into(&mut self.image);
         core::mem::swap(&mut self.probability, &mut self.last_probability);
-        let until = job.stamp.plus(self.slices.segmentation_micros);
-        let until = (self.pace == Pace::Real).then_some(until);
-        match network.finish(until, &mut self.probability) {
-            Ok(micros) => {
-                lap.times.add(Stage::Segmentation, micros);
-                true
-            }
+        let until = watch.wait_until(Stage::Segmentation);
+        let answer = match network {
+            _ if !is_sound => Err(NetworkMiss::Failed),
+            Some(network) => watch.wait(|| network.finish(until, &mut self.probability)),
+            None => Err(NetworkMiss::Late),
+        };
+        match answer {
+            Ok(micros) => watch.times.add(Stage::Segmentation, micros),
             Err(miss) => {
                 output.faults.insert(match miss {
                     NetworkMiss::Late | NetworkMiss::Busy => Faults::NETWORK_LATE,
                     NetworkMiss::Failed => Faults::NETWORK_FAILED,
                 });
                 self.reproject_last(world_from_camera);
-                false
             }
         }
+        self.learn_colours();
+        watch.end(Stage::Segmentation);
+        answer.is_ok()
     }
 
     fn reproject_last(&mut self, world_from_camera: &Pose) {
@@ -416,8 +325,8 @@ impl KeyFrameTask {
         );
     }
 
-    /// Stage 5, second half: the colours of road and not-road, learnt from the network's own pixels, or from the third
-    /// dimension alone in its ablation.
+    /// The colours of road and not-road, learnt from the network's own pixels, or from the third dimension alone in its
+    /// ablation.
     fn learn_colours(&mut self) {
         match self.ablation {
             Ablation::Joint | Ablation::TwoD => self.colour_lines.learn(&self.image, &self.probability.road),
@@ -427,8 +336,33 @@ impl KeyFrameTask {
             .score_into(&self.image, &mut self.road_score, &mut self.not_road_score);
     }
 
-    /// Stage 6: the unaries' labels, then the cut until its slice ends.
-    fn label(&mut self, job: &KeyFrameJob, clock: &impl Clock, output: &mut KeyFrameOutput) {
+    /// Stage 6: the unaries' labels, then the cut until its slice ends; without a start each pixel goes by the network alone.
+    /// Whether the cut came to its end.
+    fn label(
+        &mut self,
+        watch: &mut Stopwatch<'_, impl Clock, impl StageProbe>,
+        output: &mut KeyFrameOutput,
+    ) -> bool {
+        let is_started = watch.start(Stage::Crf);
+        let is_solved = is_started && self.cut(watch);
+        if !is_solved {
+            output.faults.insert(Faults::CUT_STOPPED);
+        }
+        if is_started {
+            output.energy_gap = self.crf.gap();
+            self.take_labels(output);
+        } else {
+            output.energy_gap = 1.0;
+            output.confidence.copy_from_slice(&self.probability.road);
+            for (label, road) in output.labels.iter_mut().zip(&self.probability.road) {
+                *label = u8::from(*road > 0.5);
+            }
+        }
+        watch.end(Stage::Crf);
+        is_solved
+    }
+
+    fn cut(&mut self, watch: &Stopwatch<'_, impl Clock, impl StageProbe>) -> bool {
         self.crf.base(&CrfInputs {
             probability: &self.probability,
             indicator: self.priors.indicator(),
@@ -439,17 +373,27 @@ impl KeyFrameTask {
             not_road_score: &self.not_road_score,
             rgb: &self.image,
         });
-        let ends = job.stamp.plus(self.slices.crf_micros);
         for _ in 0..CUT_QUANTA {
-            if self.is_over(clock, ends) || !self.crf.refine(CUT_QUANTUM_STEPS) {
+            if watch.is_over(Stage::Crf) || !self.crf.refine(CUT_QUANTUM_STEPS) {
                 break;
             }
         }
-        if !self.crf.solved() {
-            output.faults.insert(Faults::CUT_STOPPED);
-        }
-        output.energy_gap = self.crf.gap();
-        self.take_labels(output);
+        self.crf.solved()
+    }
+
+    /// Stage 7.
+    fn draw_grid(&mut self, job: &KeyFrameJob, world_from_camera: &Pose, output: &mut KeyFrameOutput) {
+        let grid = self.grid.step(
+            &output.labels,
+            &output.confidence,
+            &self.probability.vehicle,
+            self.priors.surface(),
+            &self.priors.plane_in_camera(),
+            &self.camera.world_from_vehicle(world_from_camera),
+            job.stamp,
+        );
+        output.grid.copy_from(grid);
+        output.boundary = *self.grid.boundary();
     }
 
     /// The cut's labels without islands, and confidences on the same side.
@@ -488,10 +432,6 @@ impl KeyFrameTask {
             .map_or(height as f64, |pixel| pixel.y);
         row.clamp(0.0, height as f64) as usize
     }
-
-    fn is_over(&self, clock: &impl Clock, ends: Micros) -> bool {
-        self.pace == Pace::Real && clock.now() >= ends
-    }
 }
 
 /// What the map's lengths are multiplied by, without wheels: all that was measured at first, then a share of it, so that one
@@ -506,38 +446,33 @@ fn correction(scale: &ScaleEstimate, is_first: bool) -> f64 {
     }
 }
 
-/// The ladder, read off what happened.
-fn level(faults: Faults, is_network_fresh: bool, is_solved: bool) -> QualityLevel {
-    if faults.contains(Faults::TRACKING_LOST) {
-        QualityLevel::NoFreshMap
-    } else if !is_network_fresh {
-        QualityLevel::NoFreshNetwork
-    } else if !is_solved || faults.contains(Faults::MAP_LATE) {
-        QualityLevel::NoRefinement
-    } else {
-        QualityLevel::Full
-    }
+/// What an answer had to do without.
+struct Stale {
+    is_lost: bool,
+    map: bool,
+    priors: bool,
+    network: bool,
+    is_map_late: bool,
+    is_cut_stopped: bool,
 }
 
-/// Laps of the clock, added up a stage.
-struct Lap<'a, C> {
-    clock: &'a C,
-    begin: Micros,
-    times: StageTimes,
-}
-
-impl<'a, C: Clock> Lap<'a, C> {
-    fn new(clock: &'a C, times: StageTimes) -> Self {
-        Self {
-            clock,
-            begin: clock.now(),
-            times,
+impl Stale {
+    /// The ladder, read off what happened; and the stage that was done without.
+    const fn level(&self) -> (QualityLevel, Option<Stage>) {
+        if self.is_lost {
+            (QualityLevel::NoFreshMap, Some(Stage::Track))
+        } else if self.map {
+            (QualityLevel::NoFreshMap, Some(Stage::Map))
+        } else if self.priors {
+            (QualityLevel::NoFreshMap, Some(Stage::Priors))
+        } else if self.network {
+            (QualityLevel::NoFreshNetwork, Some(Stage::Segmentation))
+        } else if self.is_cut_stopped {
+            (QualityLevel::NoRefinement, Some(Stage::Crf))
+        } else if self.is_map_late {
+            (QualityLevel::NoRefinement, Some(Stage::Map))
+        } else {
+            (QualityLevel::Full, None)
         }
-    }
-
-    fn end(&mut self, stage: Stage) {
-        let now = self.clock.now();
-        self.times.add(stage, now.since(self.begin));
-        self.begin = now;
     }
 }

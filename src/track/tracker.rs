@@ -139,6 +139,8 @@ pub struct Tracker {
     residuals: Box<[Residual]>,
     sorted: Vec<f32>,
     earlier: Vec<Pose>,
+    /// Pose of the first frame.
+    origin: Pose,
 }
 
 impl Tracker {
@@ -177,6 +179,22 @@ impl Tracker {
             residuals: vec![Residual::default(); MAX_TRACKS].into_boxed_slice(),
             sorted: Vec::with_capacity(MAX_TRACKS),
             earlier: Vec::with_capacity(RECENT_POSES),
+            origin: camera.mount.vehicle_from_camera(),
+        }
+    }
+
+    /// A tracker to go on in place of this one, from its last pose and speed; no track of it shares a number with the old ones.
+    #[must_use]
+    pub fn renewed(&self, config: &TrackConfig) -> Self {
+        let origin = self
+            .past
+            .back()
+            .map_or(self.origin, |past| past.world_from_camera);
+        Self {
+            next_id: self.next_id,
+            speed_mps: self.speed_mps,
+            origin,
+            ..Self::new(&self.camera, config)
         }
     }
 
@@ -190,7 +208,7 @@ impl Tracker {
         plane_in_camera: &Plane,
     ) -> FrameEstimate {
         let Some(motion) = self.foretell(stamp, travel) else {
-            let world_from_camera = self.camera.mount.vehicle_from_camera();
+            let world_from_camera = self.origin;
             self.travel = travel;
             self.remember(stamp, world_from_camera);
             self.add_corners(current, plane_in_camera);
@@ -226,7 +244,7 @@ impl Tracker {
                         .rolling
                         .motion(motion.prior.distance_m, motion.prior.rotation)
             }
-            None => self.camera.mount.vehicle_from_camera(),
+            None => self.origin,
         };
         self.travel = last_travel;
         // Not remembered: the tracks still belong to the last good frame, and so does its pose.

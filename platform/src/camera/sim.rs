@@ -80,18 +80,32 @@ pub fn seconds_at(stamp: Micros) -> f64 {
     stamp.0 as f64 * 1e-6
 }
 
-impl CameraPort for SimFrames {
+impl SimFrames {
     #[expect(
         clippy::cast_precision_loss,
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
         reason = "stamps"
     )]
+    fn stamp(&self, index: u64) -> Micros {
+        Micros((index as f64 / self.frame_rate_hz * 1e6).round() as u64)
+    }
+}
+
+impl CameraPort for SimFrames {
+    fn skip_before(&mut self, now: Micros) -> u64 {
+        let first = self.next;
+        while self.next + 1 < self.frames && self.stamp(self.next + 1) <= now {
+            self.next += 1;
+        }
+        self.next - first
+    }
+
     fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
         if self.next >= self.frames {
             return CameraAnswer::End;
         }
-        buffer.stamp = Micros((self.next as f64 / self.frame_rate_hz * 1e6).round() as u64);
+        buffer.stamp = self.stamp(self.next);
         buffer.index = self.next;
         buffer.key_frame_wanted = false;
         self.next += 1;

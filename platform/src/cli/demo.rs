@@ -15,8 +15,9 @@ use crate::config::{Config, Wheels};
 use crate::eval::grid::{CellCount, RANGE_M};
 use crate::eval::masks::{PixelCount, TruthKind};
 use crate::eval::{Truth, trajectory};
-use crate::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup};
+use crate::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup, Start, Status, Trace};
 use crate::sink::recording::{FrameRecord, Recording, RunTitle};
+use crate::statistics::Publication;
 use crate::wheels::SimEncoders;
 use crate::world::{Encoders, GridSpec, Label, Sensor, SimCamera, Textures, World, WorldConfig};
 
@@ -42,8 +43,8 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     if let Some(odometer) = &odometer {
         world_config.track_m = odometer.track_m;
     }
-    let segmenter = drive::open_network(&config)?;
-    let engine = segmenter.name().to_owned();
+    let network = drive::open_network(&config)?;
+    let engine = network.segmenter.name().to_owned();
     let title = RunTitle {
         title: format!("freespace demo, seed {}", args.seed),
         deadline_ms: config.deadline.publish_ms,
@@ -90,13 +91,17 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let devices = Devices {
         camera: Box::new(frames),
         wheels,
-        segmenter,
+        segmenter: network.segmenter,
         tiles: drive::tiles(&config),
+        sinks: Vec::new(),
     };
     let summary = drive::run(
         Setup {
             config: pipeline,
             devices,
+            real_time: network.real_time,
+            plan: network.plan,
+            lacks: network.lacks,
         },
         args.pace,
         &mut judge,
@@ -193,6 +198,22 @@ impl Judge {
 }
 
 impl Observer for Judge {
+    fn started(&mut self, start: &Start<'_>) {
+        self.recorder.started(start);
+    }
+
+    fn publication(&mut self, publication: &Publication) {
+        self.recorder.publication(publication);
+    }
+
+    fn trace(&mut self, trace: &Trace) {
+        self.recorder.trace(trace);
+    }
+
+    fn status(&mut self, status: &Status) {
+        self.recorder.status(status);
+    }
+
     fn frame(&mut self, report: &FrameReport) {
         let truth = FrameRecord {
             index: usize::try_from(report.index).unwrap_or(usize::MAX),

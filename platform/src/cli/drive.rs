@@ -13,12 +13,16 @@ use freespace::segmentation::TileConfig;
 use freespace::track::WheelConfig;
 use nalgebra::{Point3, Vector3};
 
+use super::service::Service;
 use super::{Failure, Pace};
 use crate::bad_input::BadInput;
 use crate::clock::MonotonicClock;
 use crate::config::Config;
 use crate::eval::grid::GridLayout;
-use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, Setup};
+use crate::runtime::memory::MemoryPlan;
+use crate::runtime::rights::{self, Lack, RealTimeConfig, ThreadRole};
+use crate::runtime::supervision::stop_on_signals;
+use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, Setup, Start, Status, Trace};
 use crate::segmenter::{self, EngineChoice, Manifest, Segmenter};
 use crate::sink::recording::{
     FrameRecord, ImageView, KeyFrameRecord, Recording, RecordingError, RunCounts, Upsampler,
@@ -48,13 +52,33 @@ pub(super) fn pipeline_config(
     }
 }
 
-/// Opens the configured network.
+/// The configured network, and what opening it took.
+pub(super) struct Network {
+    pub(super) segmenter: Box<dyn Segmenter>,
+    pub(super) real_time: RealTimeConfig,
+    pub(super) plan: MemoryPlan,
+    pub(super) lacks: Vec<Lack>,
+}
+
+/// Opens the configured network; the threads of its library become as real-time as its own.
 ///
 /// # Errors
 /// A manifest or model that is missing or wrong, or no engine for it.
-pub(super) fn open_network(config: &Config) -> Result<Box<dyn Segmenter>, Failure> {
+pub(super) fn open_network(config: &Config) -> Result<Network, Failure> {
     let manifest = Manifest::load(&config.network.manifest).map_err(Failure::bad_input)?;
-    segmenter::open(&manifest, EngineChoice::Auto, config.network.threads).map_err(Failure::bad_input)
+    let real_time = config.real_time();
+    let mut plan = MemoryPlan::new();
+    let (opened, lacks) = rights::adopt_new_threads(ThreadRole::Network, &real_time, || {
+        plan.measure_library("network", || {
+            segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
+        })
+    });
+    Ok(Network {
+        segmenter: opened.map_err(Failure::bad_input)?,
+        real_time,
+        plan,
+        lacks: lacks.into_iter().collect(),
+    })
 }
 
 /// The configured tiles.
@@ -64,21 +88,18 @@ pub(super) const fn tiles(config: &Config) -> TileConfig {
     }
 }
 
-/// Runs the pipeline at a pace.
+/// Runs the pipeline at a pace; at real pace until SIGTERM or SIGINT at the latest.
 ///
 /// # Errors
-/// A thread that could not be started.
+/// A thread that could not be started, hung, or panicked too often.
 pub(super) fn run(setup: Setup, pace: Pace, observer: &mut dyn Observer) -> Result<RunSummary, Failure> {
-    match pace {
-        Pace::Fast => Ok(runtime::run_in_lockstep(setup, observer)),
-        Pace::Real => {
-            runtime::run_live(setup, &Arc::new(AtomicBool::new(false)), observer).map_err(|error| {
-                Failure::Internal(miette::miette!(
-                    "a thread of the pipeline could not be started: {error}"
-                ))
-            })
-        }
+    if pace == Pace::Fast {
+        return Ok(runtime::run_in_lockstep(setup, observer));
     }
+    let stop = Arc::new(AtomicBool::new(false));
+    let internal = |error: &dyn std::error::Error| Failure::Internal(miette::miette!("{error}"));
+    stop_on_signals(&stop).map_err(|error| internal(&error))?;
+    runtime::run_live(setup, &stop, observer).map_err(|error| internal(&error))
 }
 
 /// Where the cells of a grid lie.
@@ -110,6 +131,7 @@ pub(super) struct Recorder {
     tracked_frames: u64,
     error: Option<RecordingError>,
     progress: Progress,
+    service: Service,
 }
 
 /// What is left of a recorder when its run is over.
@@ -140,6 +162,7 @@ impl Recorder {
             tracked_frames: 0,
             error: None,
             progress,
+            service: Service::from_environment(),
         }
     }
 
@@ -189,7 +212,7 @@ impl Recorder {
             return Err(error.into());
         }
         self.statistics.set_drops(Drops {
-            unobserved: Some(summary.unobserved_key_frames),
+            unobserved: Some(summary.unobserved),
             ..Drops::default()
         });
         let counts = RunCounts {
@@ -231,8 +254,8 @@ impl Recorder {
             cells: &output.grid.occupancy,
             world_from_vehicle: self.camera.world_from_vehicle(&output.world_from_camera),
             level: output.level.name(),
-            deadline_met: !report.is_miss,
-            publish_latency_ms: report.latency_micros as f64 * 1e-3,
+            deadline_met: !report.output.is_miss(),
+            publish_latency_ms: report.output.latency_micros as f64 * 1e-3,
             times: output.times,
             can_frames: &output.can_frames,
             outlines: &outlines,
@@ -274,6 +297,10 @@ impl Recorder {
 }
 
 impl Observer for Recorder {
+    fn started(&mut self, start: &Start<'_>) {
+        self.service.started(start);
+    }
+
     fn frame(&mut self, report: &FrameReport) {
         use freespace::health::TrackingState;
         // The first frame has nothing to be tracked against: its pose is the origin.
@@ -281,6 +308,7 @@ impl Observer for Recorder {
             report.outcome.estimate.state != TrackingState::DeadReckoning || self.tracked_frames == 0;
         self.tracked_frames += u64::from(is_tracked);
         self.statistics.frame(report.outcome.estimate.state);
+        self.statistics.frame_micros(report.outcome.micros);
         let written = self.recording.frame(&FrameRecord {
             index: usize::try_from(report.index).unwrap_or(usize::MAX),
             stamp: report.stamp,
@@ -290,13 +318,25 @@ impl Observer for Recorder {
         self.progress.frame(report.index);
     }
 
+    fn publication(&mut self, publication: &Publication) {
+        self.statistics.publication(publication);
+        self.progress.publication(publication);
+    }
+
+    fn trace(&mut self, trace: &Trace) {
+        self.progress.interrupt();
+        eprintln!("{:.3} s: {}", trace.at.0 as f64 * 1e-6, trace.event);
+    }
+
+    fn status(&mut self, status: &Status) {
+        self.service.status(status, &self.statistics);
+    }
+
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
-        self.statistics.publication(&Publication::of(
-            report.output,
-            report.latency_micros,
-            report.is_miss,
-        ));
-        self.progress.key_frame(report);
+        // What answers for an instant without a frame has no picture and no name; it is in the statistics.
+        if !report.output.has_frame {
+            return;
+        }
         self.upsampler.upsample(&report.output.labels, &mut self.mask);
         if self.error.is_none() {
             self.error = self.record(report).err();
@@ -328,9 +368,14 @@ impl Progress {
         }
     }
 
-    fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
+    fn publication(&mut self, publication: &Publication) {
         self.key_frames += 1;
-        self.misses += u64::from(report.is_miss);
+        self.misses += u64::from(publication.is_miss);
+    }
+
+    /// Makes room for a line of its own.
+    fn interrupt(&self) {
+        self.end();
     }
 
     fn frame(&mut self, index: u64) {

@@ -8,6 +8,7 @@ mod drive;
 mod eval;
 mod failure;
 mod replay;
+mod service;
 mod table;
 
 pub use args::{Ablation, Cli, Command, DemoArgs, EvalCommand, Pace, ReplayArgs, TruthArgs};

@@ -100,7 +100,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         reference,
     } = open_inputs(args)?;
     let (wheels, odometer) = open_wheels(args, &config)?.unzip();
-    let segmenter = drive::open_network(&config)?;
+    let network = drive::open_network(&config)?;
     config.crf.ablation = match args.ablate {
         None => crf::Ablation::Joint,
         Some(Ablation::Only2d) => crf::Ablation::TwoD,
@@ -113,7 +113,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         is_reproducible: args.pace == Pace::Fast,
     };
     let recording = Recording::create(&args.out, title)?;
-    let engine = segmenter.name().to_owned();
+    let engine = network.segmenter.name().to_owned();
     let names: BTreeMap<u64, String> = frames
         .listing()
         .map(|(index, name, _)| (index as u64, name.to_owned()))
@@ -123,13 +123,17 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let devices = Devices {
         camera: Box::new(ReplayFrames::new(frames, key_frames)),
         wheels,
-        segmenter,
+        segmenter: network.segmenter,
         tiles: drive::tiles(&config),
+        sinks: Vec::new(),
     };
     let summary = drive::run(
         Setup {
             config: pipeline,
             devices,
+            real_time: network.real_time,
+            plan: network.plan,
+            lacks: network.lacks,
         },
         args.pace,
         &mut recorder,

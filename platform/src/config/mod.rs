@@ -254,10 +254,7 @@ impl Config {
     /// Slices of the deadline.
     #[must_use]
     pub fn slices(&self) -> Slices {
-        Slices {
-            deadline_micros: self.deadline.publish_micros(),
-            ..Slices::default()
-        }
+        Slices::within(self.deadline.publish_micros())
     }
 
     /// The camera for frames of `width` x `height`, its lens from the config or from a file in `source`, the replayed folder.

@@ -1,23 +1,30 @@
 //! Running the pipeline: live on threads with the deadline, or in lockstep for a reproducible result.
 
 pub mod allocation;
+mod handover;
 mod live;
 mod lockstep;
 pub mod memory;
 mod network;
+mod restart;
 pub mod rights;
 pub mod supervision;
+mod trace;
 
 pub use live::run_live;
-pub use lockstep::run_in_lockstep;
+pub use lockstep::{FaultKind, FaultModel, Injection, Victim, run_in_lockstep, run_modelled};
 pub use network::{InlineNetwork, ThreadedNetwork};
+pub use trace::{Event, Trace};
 
 use freespace::pipeline::{FrameOutcome, KeyFrameJob, KeyFrameOutput, PipelineConfig};
-use freespace::port::{CameraPort, WheelPort};
+use freespace::port::{CameraPort, SinkPort, WheelPort};
 use freespace::segmentation::TileConfig;
 use freespace::space::Micros;
 
 use crate::segmenter::Segmenter;
+use crate::statistics::Publication;
+use memory::MemoryPlan;
+use rights::{Lack, RealTimeConfig};
 
 /// The devices of a run.
 pub struct Devices {
@@ -29,6 +36,8 @@ pub struct Devices {
     pub segmenter: Box<dyn Segmenter>,
     /// Tiles that the network sees a picture in.
     pub tiles: TileConfig,
+    /// Where publications go, besides the observer.
+    pub sinks: Vec<Box<dyn SinkPort + Send>>,
 }
 
 /// One frame, as the observer sees it.
@@ -42,8 +51,8 @@ pub struct FrameReport {
     pub outcome: FrameOutcome,
 }
 
-/// One publication, as the observer sees it.
-#[derive(Clone, Copy, Debug)]
+/// One publication, as the observer sees it; its output says when it left, and what it is worth.
+#[derive(Clone, Copy)]
 pub struct KeyFrameReport<'a> {
     /// Number of the frame in its source.
     pub index: u64,
@@ -51,18 +60,61 @@ pub struct KeyFrameReport<'a> {
     pub job: Option<&'a KeyFrameJob>,
     /// What was published.
     pub output: &'a KeyFrameOutput,
-    /// From capture to publication; in lockstep, the time that the work took.
-    pub latency_micros: u64,
-    /// Whether a fallback went out in place of the answer.
-    pub is_miss: bool,
+}
+
+/// How a run goes, as its observer is told several times a second.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Status {
+    /// Frames that entered the pipeline.
+    pub frames: u64,
+    /// Frames lost by the camera, refused, or displaced by newer ones.
+    pub dropped_frames: u64,
+    /// Key frames published.
+    pub key_frames: u64,
+    /// Key frames that a fallback answered, or that came after their deadline.
+    pub deadline_misses: u64,
+    /// Key frames that their own answer answered.
+    pub fresh: u64,
+    /// Parts that panicked and were started anew.
+    pub restarts: u32,
 }
 
 /// Watches a run from a normal thread; it may allocate and block.
 pub trait Observer {
+    /// All is made, and the threads are about to start.
+    fn started(&mut self, start: &Start<'_>) {
+        let _ = start;
+    }
     /// A frame was tracked.
     fn frame(&mut self, report: &FrameReport);
-    /// A key frame was published.
+    /// A key frame was published; comes for every one of them.
+    fn publication(&mut self, publication: &Publication) {
+        let _ = publication;
+    }
+    /// What was published; may be left out where the observer is slow.
     fn key_frame(&mut self, report: &KeyFrameReport<'_>);
+    /// Something worth a line in a log happened.
+    fn trace(&mut self, trace: &Trace) {
+        let _ = trace;
+    }
+    /// How it goes, several times a second.
+    fn status(&mut self, status: &Status) {
+        let _ = status;
+    }
+}
+
+/// Why a live run ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A thread could not be started.
+    #[error("a thread of the pipeline could not be started: {0}")]
+    Thread(std::io::Error),
+    /// A stage does not return: its thread cannot be ended, so the process must be.
+    #[error("{0} hangs: the process must be started anew")]
+    Hung(&'static str),
+    /// Parts panicked more often than a drive survives.
+    #[error("parts of the pipeline panicked too often: the process must be started anew")]
+    PanickedTooOften,
 }
 
 /// Counts of a run.
@@ -76,8 +128,12 @@ pub struct RunSummary {
     pub key_frames: u64,
     /// Key frames that a fallback answered, or that came after their deadline.
     pub deadline_misses: u64,
-    /// Key frames that the observer was too slow to see.
-    pub unobserved_key_frames: u64,
+    /// Key frames that their own answer answered.
+    pub fresh: u64,
+    /// Key frames and frames that the observer was too slow to see.
+    pub unobserved: u64,
+    /// Parts that panicked and were started anew.
+    pub restarts: u32,
     /// Allocations made by the real-time threads after their start.
     pub allocations_after_start: u64,
 }
@@ -86,13 +142,25 @@ pub struct RunSummary {
 /// than it was captured, and interpolation wants a reading on either side.
 const WHEEL_LOOKAHEAD_MICROS: u64 = 25_000;
 
-/// Boxes of each kind that circulate; each is allocated before the start.
-const CIRCULATING: usize = 6;
-
 /// What the run was built from.
 pub struct Setup {
     /// The pipeline's settings.
     pub config: PipelineConfig,
     /// Its devices.
     pub devices: Devices,
+    /// What each thread asks of the kernel.
+    pub real_time: RealTimeConfig,
+    /// What was made before the run, the network among it, by the bytes it holds.
+    pub plan: MemoryPlan,
+    /// Rights that were refused before the run.
+    pub lacks: Vec<Lack>,
+}
+
+/// What a live run starts with.
+#[derive(Debug)]
+pub struct Start<'a> {
+    /// All memory, by component.
+    pub plan: &'a MemoryPlan,
+    /// Rights that were refused: every message says so.
+    pub lacks: &'a [Lack],
 }

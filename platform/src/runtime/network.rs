@@ -1,24 +1,24 @@
 //! The network beside the other stages: on a thread of its own, or, for a reproducible replay, inline.
 //!
-//! Hand-over: two boxes circulate between the key-frame task and the network's thread, over bounded channels. An answer that
-//! missed its slice comes back before the next picture is handed over; while it is still under way the network is busy, and
-//! the pictures in between are not segmented.
+//! Hand-over: one box goes back and forth between the key-frame task and the network's thread. An answer that missed its slice
+//! comes back before the next picture is handed over.
 
-use std::io;
-use std::thread;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::time::Instant;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use freespace::frame::RgbImage;
 use freespace::pipeline::PipelineConfig;
 use freespace::port::{NetworkMiss, RoadNetwork};
 use freespace::segmentation::{InputFiller, OutputResampler, RoadProbability, TileConfig};
 use freespace::space::Micros;
 
+use super::RunError;
 use super::allocation::outside_scopes;
-use super::live::warm_up;
+use super::handover::Mailbox;
+use super::rights::{self, RealTimeConfig, ThreadRole};
 use crate::clock::MonotonicClock;
-use crate::segmenter::{Segmenter, SegmenterError};
+use crate::segmenter::{Segmenter, SegmenterError, Stop};
 
 /// A network with the tiles, input and output it works on.
 struct TiledNetwork {
@@ -93,18 +93,27 @@ impl RoadNetwork for InlineNetwork {
 struct Task {
     image: RgbImage,
     probability: RoadProbability,
-    number: u64,
     answer: Result<u64, NetworkMiss>,
 }
 
 /// Runs the network on a thread of its own.
+///
+/// A run that is not over when its slice ends is told to stop. Until it does, the network is busy, and the pictures in between
+/// are not segmented.
 pub struct ThreadedNetwork {
     idle: Option<Box<Task>>,
-    to: Sender<Box<Task>>,
-    from: Receiver<Box<Task>>,
+    shared: Arc<Shared>,
+    stopper: Option<Arc<dyn Stop>>,
     clock: MonotonicClock,
-    number: u64,
     is_begun: bool,
+}
+
+#[derive(Default)]
+struct Shared {
+    /// Pictures for the network's thread.
+    pictures: Mailbox<Task>,
+    /// Answers for the key-frame thread.
+    answers: Mailbox<Task>,
 }
 
 impl ThreadedNetwork {
@@ -117,59 +126,70 @@ impl ThreadedNetwork {
         config: &PipelineConfig,
         tiles: &TileConfig,
         clock: MonotonicClock,
-    ) -> io::Result<Self> {
-        let (to, queue) = bounded::<Box<Task>>(1);
-        let (answers, from) = bounded::<Box<Task>>(1);
-        warm_up(&from);
+        real_time: RealTimeConfig,
+    ) -> Result<Self, RunError> {
+        let stopper = segmenter.stopper();
+        let shared = Arc::new(Shared::default());
         let mut network = TiledNetwork::new(segmenter, config, tiles);
-        thread::Builder::new().name("network".to_owned()).spawn(move || {
-            for mut task in queue {
-                let begin = Instant::now();
-                let Task {
-                    image,
-                    probability,
-                    answer,
-                    ..
-                } = &mut *task;
-                *answer = network
-                    .run(image, probability)
-                    .map(|()| micros_since(begin))
-                    .map_err(|_| NetworkMiss::Failed);
-                if answers.send(task).is_err() {
-                    return;
-                }
+        let theirs = Arc::clone(&shared);
+        let thread = rights::thread_builder(ThreadRole::Network, &real_time).spawn(move || {
+            // What is refused was told when the rights were tried, before the start.
+            let _ = rights::enter(ThreadRole::Network, &real_time);
+            theirs.pictures.claim();
+            while let Some(mut task) = theirs.pictures.wait() {
+                task.answer = answer(&mut network, &mut task);
+                // There is one task, so nothing can be displaced.
+                let _ = theirs.answers.post(task);
             }
-        })?;
+        });
+        thread.map_err(RunError::Thread)?;
         let (width, height) = config.working_size;
         let task = Task {
             image: RgbImage::new(config.camera.width, config.camera.height),
             probability: RoadProbability::new(width, height),
-            number: 0,
             answer: Err(NetworkMiss::Failed),
         };
         Ok(Self {
             idle: Some(Box::new(task)),
-            to,
-            from,
+            shared,
+            stopper,
             clock,
-            number: 0,
             is_begun: false,
         })
+    }
+
+    /// Answers will be waited for by the calling thread.
+    pub(super) fn claim(&self) {
+        self.shared.answers.claim();
+    }
+}
+
+/// One run; a panic of the engine is a failure like any other.
+fn answer(network: &mut TiledNetwork, task: &mut Task) -> Result<u64, NetworkMiss> {
+    let begin = Instant::now();
+    let run = AssertUnwindSafe(|| network.run(&task.image, &mut task.probability));
+    match catch_unwind(run) {
+        Ok(Ok(())) => Ok(micros_since(begin)),
+        Ok(Err(_)) | Err(_) => Err(NetworkMiss::Failed),
+    }
+}
+
+impl Drop for ThreadedNetwork {
+    fn drop(&mut self) {
+        self.shared.pictures.close();
     }
 }
 
 impl RoadNetwork for ThreadedNetwork {
     fn begin(&mut self, image: &RgbImage) {
-        self.number += 1;
         // An answer that came too late for its key frame frees the network again.
         if self.idle.is_none() {
-            self.idle = self.from.try_recv().ok();
+            self.idle = self.shared.answers.take();
         }
         self.is_begun = false;
         if let Some(mut task) = self.idle.take() {
             task.image.pixels_mut().copy_from_slice(image.pixels());
-            task.number = self.number;
-            self.is_begun = self.to.try_send(task).is_ok();
+            self.is_begun = self.shared.pictures.post(task).is_none();
         }
     }
 
@@ -177,14 +197,13 @@ impl RoadNetwork for ThreadedNetwork {
         if !self.is_begun {
             return Err(NetworkMiss::Busy);
         }
-        let received = match until {
-            Some(until) => self.from.recv_timeout(self.clock.until(until)),
-            None => self.from.recv().map_err(|_| RecvTimeoutError::Disconnected),
+        let until = until.unwrap_or(Micros(u64::MAX));
+        let Some(task) = self.shared.answers.wait_until(&self.clock, until) else {
+            if let Some(stopper) = &self.stopper {
+                stopper.stop();
+            }
+            return Err(NetworkMiss::Late);
         };
-        let task = received.map_err(|error| match error {
-            RecvTimeoutError::Timeout => NetworkMiss::Late,
-            RecvTimeoutError::Disconnected => NetworkMiss::Failed,
-        })?;
         let answer = task.answer;
         if answer.is_ok() {
             out.road.copy_from_slice(&task.probability.road);

@@ -18,6 +18,7 @@ pub use freespace::segmentation::{ChannelOrder, NetworkShape};
 pub use manifest::{Manifest, ManifestError};
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Why one run gave no answer; the caller keeps the last probabilities and counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -46,6 +47,17 @@ pub trait Segmenter: Send {
     /// # Errors
     /// A wrong length, or a failure of the engine; `output` is then not to be used.
     fn run(&mut self, input: &[f32], output: &mut [f32]) -> Result<(), SegmenterError>;
+
+    /// What stops a run from another thread; none where the engine cannot be stopped.
+    fn stopper(&self) -> Option<Arc<dyn Stop>> {
+        None
+    }
+}
+
+/// Stops a run that is under way; it then fails, and the next one runs as ever.
+pub trait Stop: Send + Sync {
+    /// Returns at once; without a run under way, nothing happens.
+    fn stop(&self);
 }
 
 /// Which engine runs the network.

@@ -8,7 +8,7 @@
 
 use std::env;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use ort::environment::Environment;
 use ort::memory::Allocator;
@@ -17,7 +17,7 @@ use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions, Session};
 use ort::value::{Outlet, Tensor, TensorElementType, ValueType};
 
 use super::{
-    Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, check_dims, input_dims, no_such_name,
+    Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, Stop, check_dims, input_dims, no_such_name,
     output_dims,
 };
 
@@ -39,9 +39,23 @@ pub struct OnnxRuntimeSegmenter {
     /// The output's name in the model.
     output: String,
     /// Holds the output tensor.
-    options: RunOptions<HasSelectedOutputs>,
+    options: Arc<Options>,
     shape: NetworkShape,
     name: String,
+}
+
+/// Options of every run, shared with whoever stops one.
+struct Options(RunOptions<HasSelectedOutputs>);
+
+// SAFETY: other threads reach the options through `Stop` only, which sets the library's own termination flag: made to be set
+// while a run is under way (`OrtApi::RunOptionsSetTerminate`). The output tensor inside is touched by the segmenter alone.
+unsafe impl Sync for Options {}
+
+impl Stop for Options {
+    fn stop(&self) {
+        // Setting a flag cannot fail.
+        let _ = self.0.terminate();
+    }
 }
 
 impl std::fmt::Debug for OnnxRuntimeSegmenter {
@@ -101,7 +115,7 @@ impl OnnxRuntimeSegmenter {
             session,
             input,
             output: manifest.output.name.clone(),
-            options,
+            options: Arc::new(Options(options)),
             shape,
             name: format!("{}, threads: {threads}", library.name),
         })
@@ -126,8 +140,10 @@ impl Segmenter for OnnxRuntimeSegmenter {
         }
         let (_, buffer) = (self.input.try_extract_tensor_mut()).map_err(|_| SegmenterError::Engine)?;
         buffer.copy_from_slice(input);
+        // An earlier run may have been stopped.
+        (self.options.0.unterminate()).map_err(|_| SegmenterError::Engine)?;
         let outputs = (self.session)
-            .run_with_options(ort::inputs![&self.input], &self.options)
+            .run_with_options(ort::inputs![&self.input], &self.options.0)
             .map_err(|_| SegmenterError::Engine)?;
         let value = outputs.get(&self.output).ok_or(SegmenterError::Engine)?;
         let (_, probabilities) = value
@@ -138,6 +154,10 @@ impl Segmenter for OnnxRuntimeSegmenter {
         }
         output.copy_from_slice(probabilities);
         Ok(())
+    }
+
+    fn stopper(&self) -> Option<Arc<dyn Stop>> {
+        Some(Arc::clone(&self.options) as Arc<dyn Stop>)
     }
 }
 

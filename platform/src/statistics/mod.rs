@@ -13,46 +13,9 @@ mod tests;
 pub use histogram::{LatencyHistogram, Percentiles};
 pub use summary::{Counts, Drops, Status};
 
-use freespace::health::{Faults, QualityLevel, ScaleState, TrackingState};
-use freespace::pipeline::{KeyFrameOutput, Stage, StageTimes};
-
-/// What a miss is blamed on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Blame {
-    /// The frame itself came late, or never.
-    Camera,
-    /// A stage that was late, hung or failed.
-    Stage(Stage),
-}
-
-impl Blame {
-    /// Every blame, in the order of the pipeline.
-    pub const ALL: [Self; 1 + Stage::ALL.len()] = {
-        let mut all = [Self::Camera; 1 + Stage::ALL.len()];
-        let mut i = 0;
-        while i < Stage::ALL.len() {
-            all[1 + i] = Self::Stage(Stage::ALL[i]);
-            i += 1;
-        }
-        all
-    };
-
-    /// The blame's one name.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Camera => "camera",
-            Self::Stage(stage) => stage.name(),
-        }
-    }
-
-    const fn index(self) -> usize {
-        match self {
-            Self::Camera => 0,
-            Self::Stage(stage) => 1 + stage as usize,
-        }
-    }
-}
+use freespace::health::{Blame, Faults, QualityLevel, ScaleState, TrackingState};
+use freespace::pipeline::KeyFrameOutput;
+use freespace::stage::{Stage, StageTimes};
 
 /// What the statistics take of one publication; `Copy`, so that it passes through any ring.
 #[derive(Clone, Copy, Debug)]
@@ -69,19 +32,22 @@ pub struct Publication {
     pub latency_micros: u64,
     /// Whether the wanted level was not out by the deadline.
     pub is_miss: bool,
+    /// What held the answer back, or lowered its level.
+    pub blame: Option<Blame>,
 }
 
 impl Publication {
     /// Of an output that has left.
     #[must_use]
-    pub const fn of(output: &KeyFrameOutput, latency_micros: u64, is_miss: bool) -> Self {
+    pub fn of(output: &KeyFrameOutput) -> Self {
         Self {
             level: output.level,
             faults: output.faults,
             scale: output.scale,
             times: output.times,
-            latency_micros,
-            is_miss,
+            latency_micros: output.latency_micros,
+            is_miss: output.is_miss(),
+            blame: output.blame,
         }
     }
 }
@@ -160,6 +126,9 @@ impl DriveStatistics {
         add(&mut self.scale[publication.scale as usize]);
         if publication.is_miss {
             add(&mut self.misses);
+            if let Some(blame) = publication.blame {
+                add(&mut self.misses_by_blame[usize::from(Blame::to_wire(Some(blame))) - 1]);
+            }
         }
         for (count, (fault, _)) in self.faults.iter_mut().zip(Faults::NAMED) {
             if publication.faults.contains(fault) {
@@ -172,11 +141,6 @@ impl DriveStatistics {
                 histogram.record(micros);
             }
         }
-    }
-
-    /// Says what a miss that was published, or will be, came from; a miss without a blame is reported as `unknown`.
-    pub fn miss(&mut self, blame: Blame) {
-        add(&mut self.misses_by_blame[blame.index()]);
     }
 
     /// Sets what was lost so far.

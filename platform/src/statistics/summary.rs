@@ -2,11 +2,11 @@
 
 use std::fmt;
 
-use freespace::health::{Faults, QualityLevel};
-use freespace::pipeline::Stage;
+use freespace::health::{Blame, Faults, QualityLevel};
+use freespace::stage::Stage;
 use serde::{Serialize, Serializer};
 
-use super::{Blame, DriveStatistics, LEVELS, LatencyHistogram, Percentiles};
+use super::{DriveStatistics, LEVELS, LatencyHistogram, Percentiles};
 
 /// Names of the tracking states, in the order of their numbers.
 pub(super) const TRACKING: [&str; 4] = ["dead_reckoning", "good", "standstill", "weak"];

@@ -174,6 +174,17 @@ impl ReplayCamera {
         self.entries.get(self.next).map(|entry| entry.index)
     }
 
+    /// Stamp of the frame after that.
+    #[must_use]
+    pub fn stamp_after_next(&self) -> Option<Micros> {
+        self.entries.get(self.next + 1).map(|entry| entry.stamp)
+    }
+
+    /// Passes the next frame over.
+    pub fn skip(&mut self) {
+        self.next += 1;
+    }
+
     /// Decodes the next frame; none at the end.
     ///
     /// # Errors

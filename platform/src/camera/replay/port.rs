@@ -1,6 +1,7 @@
 //! A replayed folder as a camera: the schedule says which of its frames are key frames.
 
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer};
+use freespace::space::Micros;
 
 use super::{KeyFrameSchedule, ReplayCamera};
 
@@ -10,6 +11,8 @@ pub struct ReplayFrames {
     schedule: KeyFrameSchedule,
     /// Index that the next frame has where none is missing.
     next_index: usize,
+    /// Whether the next frame is a key frame, where that was asked already: the schedule is asked once a frame.
+    is_next_wanted: Option<bool>,
 }
 
 impl ReplayFrames {
@@ -20,11 +23,32 @@ impl ReplayFrames {
             camera,
             schedule,
             next_index: 0,
+            is_next_wanted: None,
         }
+    }
+
+    fn is_wanted(&mut self, index: usize, stamp: Micros) -> bool {
+        let schedule = &mut self.schedule;
+        *(self.is_next_wanted).get_or_insert_with(|| schedule.is_key_frame(index, stamp))
     }
 }
 
 impl CameraPort for ReplayFrames {
+    /// A frame that must become a key frame is never left out.
+    fn skip_before(&mut self, now: Micros) -> u64 {
+        let mut skipped = 0;
+        while let (Some(index), Some(stamp)) = (self.camera.next_index(), self.camera.next_stamp())
+            && self.camera.stamp_after_next().is_some_and(|after| after <= now)
+            && !self.is_wanted(index, stamp)
+        {
+            self.camera.skip();
+            self.next_index = index + 1;
+            self.is_next_wanted = None;
+            skipped += 1;
+        }
+        skipped
+    }
+
     fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
         let Some(index) = self.camera.next_index() else {
             return CameraAnswer::End;
@@ -38,6 +62,7 @@ impl CameraPort for ReplayFrames {
         let frame = match self.camera.next_frame() {
             Some(Ok(frame)) => frame,
             Some(Err(warning)) => {
+                self.is_next_wanted = None;
                 eprintln!("warning: {warning}");
                 return CameraAnswer::Lost;
             }
@@ -49,7 +74,9 @@ impl CameraPort for ReplayFrames {
         (buffer.width, buffer.height) = (frame.width, frame.height);
         buffer.bytes.clear();
         buffer.bytes.extend_from_slice(frame.bytes);
-        buffer.key_frame_wanted = self.schedule.is_key_frame(frame.index, frame.stamp);
+        let (index, stamp) = (frame.index, frame.stamp);
+        buffer.key_frame_wanted = self.is_wanted(index, stamp);
+        self.is_next_wanted = None;
         CameraAnswer::Frame
     }
 }

@@ -49,6 +49,15 @@ impl ThreadRole {
         Self::Monitor,
     ];
 
+    /// The threads that must keep time.
+    pub const REAL_TIME: [Self; 5] = [
+        Self::Camera,
+        Self::Frame,
+        Self::KeyFrame,
+        Self::Network,
+        Self::Publisher,
+    ];
+
     /// Name of the thread, and of its table in the configuration with `-` for `_`; the kernel keeps 15 bytes.
     #[must_use]
     pub const fn name(self) -> &'static str {

@@ -1,0 +1,66 @@
+//! What the world outside is told of a live run: at start on standard error, while it runs through the service manager.
+
+use crate::runtime::supervision::{Notifier, Watchdog};
+use crate::runtime::{Start, Status};
+use crate::statistics::DriveStatistics;
+
+/// Looks between two status lines: a second and more.
+const LOOKS: u32 = 25;
+
+pub(super) struct Service {
+    notifier: Option<Notifier>,
+    watchdog: Watchdog,
+    is_ready: bool,
+    looks: u32,
+}
+
+impl Service {
+    /// The service manager that the environment names, if any.
+    pub(super) fn from_environment() -> Self {
+        let notifier = Notifier::from_environment();
+        if let Err(error) = &notifier {
+            eprintln!("the service manager of NOTIFY_SOCKET cannot be reached: {error}");
+        }
+        Self {
+            notifier: notifier.ok(),
+            watchdog: Watchdog::from_environment(),
+            is_ready: false,
+            looks: 0,
+        }
+    }
+
+    /// Tells what is lacking, and what memory is held.
+    pub(super) fn started(&self, start: &Start<'_>) {
+        for lack in start.lacks {
+            eprintln!("lacking: {lack}; {}", lack.fix());
+        }
+        eprint!("memory held from now on\n{}", start.plan);
+    }
+
+    /// Ready with the first answer; the watchdog is fed with fresh ones only.
+    pub(super) fn status(&mut self, status: &Status, statistics: &DriveStatistics) {
+        let Some(notifier) = &self.notifier else { return };
+        if !self.is_ready && status.fresh > 0 {
+            notifier.ready();
+            self.is_ready = true;
+        }
+        self.watchdog.feed(status.fresh, notifier);
+        self.looks += 1;
+        if self.looks == LOOKS {
+            self.looks = 0;
+            notifier.status(format_args!(
+                "{}, {} restarts",
+                statistics.status(),
+                status.restarts
+            ));
+        }
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        if let Some(notifier) = &self.notifier {
+            notifier.stopping();
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! The camera's thread: frames from the port, at their capture stamps, to the frame task.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use freespace::health::Blame;
+use freespace::port::{CameraAnswer, CameraPort, Clock as _, FrameBuffer};
+use rtrb::Consumer;
+
+use super::super::restart::guarded;
+use super::super::trace::{Event, Teller};
+use super::{Counters, Shared};
+
+pub(super) struct CameraThread {
+    pub(super) camera: Box<dyn CameraPort + Send>,
+    pub(super) shared: Arc<Shared>,
+    pub(super) stop: Arc<AtomicBool>,
+    /// Buffers that come back from the frame task.
+    pub(super) returned: Consumer<Box<FrameBuffer>>,
+    /// Buffers at hand.
+    pub(super) buffers: Vec<Box<FrameBuffer>>,
+    pub(super) teller: Teller,
+}
+
+impl CameraThread {
+    pub(super) fn run(mut self) {
+        let mut is_started = false;
+        while !self.is_to_end() {
+            let Some(mut buffer) = self.buffer() else {
+                return;
+            };
+            match self.next_frame(&mut buffer, is_started) {
+                CameraAnswer::End => break,
+                CameraAnswer::Lost => {
+                    Counters::add(&self.shared.counters.dropped_frames, 1);
+                    self.buffers.push(buffer);
+                }
+                CameraAnswer::Frame => {
+                    if !is_started {
+                        self.shared.clock.start_at(buffer.stamp);
+                        is_started = true;
+                    }
+                    self.shared.clock.sleep_until(buffer.stamp);
+                    self.hand_over(buffer);
+                }
+            }
+        }
+        self.shared.frames.close();
+    }
+
+    fn is_to_end(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || self.shared.restarts.is_spent()
+    }
+
+    /// A free buffer: with four of them there always is one, for the frame task holds one, and one waits.
+    fn buffer(&mut self) -> Option<Box<FrameBuffer>> {
+        self.buffers.pop().or_else(|| self.returned.pop().ok())
+    }
+
+    fn next_frame(&mut self, buffer: &mut FrameBuffer, is_started: bool) -> CameraAnswer {
+        if is_started {
+            let skipped = self.camera.skip_before(self.shared.clock.now());
+            Counters::add(&self.shared.counters.dropped_frames, skipped);
+        }
+        let camera = &mut self.camera;
+        guarded(|| camera.next_frame(buffer)).unwrap_or_else(|_| {
+            let may = self.shared.restarts.may_restart();
+            let event = if may {
+                Event::Panicked
+            } else {
+                Event::PanickedTooOften
+            };
+            self.teller.tell(self.shared.clock.now(), event(Blame::Camera));
+            CameraAnswer::Lost
+        })
+    }
+
+    fn hand_over(&mut self, buffer: Box<FrameBuffer>) {
+        let is_wanted = buffer.key_frame_wanted;
+        let Some(displaced) = self.shared.frames.post(buffer) else {
+            return;
+        };
+        Counters::add(&self.shared.counters.dropped_frames, 1);
+        // A wish for a key frame outlives the frame that carried it.
+        if displaced.key_frame_wanted && !is_wanted {
+            self.shared.key_frame_wanted.store(true, Ordering::Relaxed);
+        }
+        self.buffers.push(displaced);
+    }
+}

@@ -1,0 +1,149 @@
+//! Threads and the deadline: camera, frame task, key-frame task, network and publisher in real time; the observer stays on the
+//! caller's thread.
+//!
+//! | hand-over | by | when it is full |
+//! |---|---|---|
+//! | camera to frame: frames | mailbox | the newest wins, the displaced one is counted |
+//! | frame to key-frame: jobs | mailbox | the newest wins; the publisher answers for the displaced one |
+//! | key-frame to frame: lessons | mailbox | the newest wins; it holds all that the displaced one taught |
+//! | frame and key-frame to publisher: news | ring | never: it has room for everything that circulates |
+//! | publisher to observer: publications | ring | not lent, but used again at once, and counted |
+//! | frame to observer: frame reports | ring | lost, and counted |
+//!
+//! Boxes circulate: all are made before the start, and the real-time threads own as many as they need; the observer, which may
+//! be as slow as it likes, is lent only what is left. A thread that panics starts its part anew (see [`super::restart`]).
+
+mod assembly;
+mod camera;
+mod frame;
+mod key_frame;
+mod observe;
+mod publisher;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use freespace::health::Faults;
+use freespace::pipeline::{KeyFrameJob, Lesson};
+use freespace::port::FrameBuffer;
+use freespace::stage::Progress;
+
+use super::allocation::allocations;
+use super::handover::{Bell, Mailbox};
+use super::restart::Restarts;
+use super::rights::{self, Lack, RealTimeConfig, ThreadRole, lock_memory, thread_builder};
+use super::{Observer, RunError, RunSummary, Setup, Start};
+use crate::clock::MonotonicClock;
+use assembly::Threads;
+
+/// What the threads share: hand-overs, progress and counters, none of it behind a lock.
+#[derive(Default)]
+struct Shared {
+    clock: MonotonicClock,
+    frames: Mailbox<FrameBuffer>,
+    jobs: Mailbox<KeyFrameJob>,
+    lessons: Mailbox<Lesson>,
+    publisher_bell: Bell,
+    observer_bell: Bell,
+    frame_progress: Progress,
+    key_frame_progress: Progress,
+    publisher_progress: Progress,
+    /// A frame that was displaced was to become a key frame; the next one becomes it.
+    key_frame_wanted: AtomicBool,
+    /// A thread hangs: no answer can be waited for any more.
+    is_given_up: AtomicBool,
+    /// The last publication has left.
+    is_published: AtomicBool,
+    restarts: Restarts,
+    counters: Counters,
+}
+
+/// Counters that several threads add to.
+#[derive(Default)]
+struct Counters {
+    dropped_frames: AtomicU64,
+    frames: AtomicU64,
+    key_frames: AtomicU64,
+    misses: AtomicU64,
+    fresh: AtomicU64,
+    unobserved: AtomicU64,
+}
+
+impl Counters {
+    fn add(counter: &AtomicU64, count: u64) {
+        counter.fetch_add(count, Ordering::Relaxed);
+    }
+}
+
+/// Runs until the camera ends or `stop` is set; the first frame sets the clock.
+///
+/// # Errors
+/// A thread could not be started, hung, or panicked too often.
+pub fn run_live(
+    setup: Setup,
+    stop: &Arc<AtomicBool>,
+    observer: &mut dyn Observer,
+) -> Result<RunSummary, RunError> {
+    let shared = Arc::new(Shared::default());
+    let mut setup = setup;
+    let mut plan = std::mem::take(&mut setup.plan);
+    let mut lacks = std::mem::take(&mut setup.lacks);
+    let real_time = setup.real_time;
+    lacks.extend(rehearse(&real_time)?);
+    let standing = Faults::NONE.with(Faults::RIGHTS_LACKING, !lacks.is_empty());
+    let threads = Threads::build(setup, standing, stop, &shared, &mut plan)?;
+    plan.stacks(&real_time, &ThreadRole::REAL_TIME);
+    if real_time.lock_memory
+        && let Err(lack) = lock_memory()
+    {
+        lacks.push(lack);
+    }
+    plan.complete();
+    observer.started(&Start {
+        plan: &plan,
+        lacks: &lacks,
+    });
+    let allocations_before = allocations();
+    let (handles, watching) = threads.start()?;
+    watching.run(observer)?;
+    for handle in handles {
+        // Every step is guarded: a thread that panics all the same does so outside its work, at its very end.
+        let _ = handle.join();
+    }
+    if shared.restarts.is_spent() {
+        return Err(RunError::PanickedTooOften);
+    }
+    Ok(shared.summary(allocations() - allocations_before))
+}
+
+/// Asks for the rights of each real-time thread on a thread that does nothing else: what is refused.
+fn rehearse(real_time: &RealTimeConfig) -> Result<Vec<Lack>, RunError> {
+    let mut lacks = Vec::new();
+    for role in ThreadRole::REAL_TIME {
+        let config = *real_time;
+        let thread = thread_builder(role, real_time)
+            .spawn(move || rights::enter(role, &config))
+            .map_err(RunError::Thread)?;
+        // It does nothing that could panic.
+        if let Ok(entered) = thread.join() {
+            lacks.extend(entered.lacks);
+        }
+    }
+    Ok(lacks)
+}
+
+impl Shared {
+    fn summary(&self, allocations_after_start: u64) -> RunSummary {
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        RunSummary {
+            frames: count(&self.counters.frames),
+            dropped_frames: count(&self.counters.dropped_frames),
+            key_frames: count(&self.counters.key_frames),
+            deadline_misses: count(&self.counters.misses),
+            fresh: count(&self.counters.fresh),
+            unobserved: count(&self.counters.unobserved),
+            restarts: self.restarts.count(),
+            allocations_after_start,
+        }
+    }
+}

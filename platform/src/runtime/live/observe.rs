@@ -1,0 +1,138 @@
+//! The observer's side, on the caller's normal thread: reports, publications and traces as they come; the watch over the threads.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use freespace::budget::HANG_MICROS;
+use freespace::health::Blame;
+use freespace::pipeline::{KeyFrameJob, KeyFrameOutput};
+use freespace::stage::{Place, Progress};
+use rtrb::{Consumer, Producer};
+
+use crate::statistics::Publication;
+
+use super::super::trace::Listener;
+use super::super::{FrameReport, KeyFrameReport, Observer, RunError, Status};
+use super::Shared;
+
+/// A publication on loan.
+pub(super) struct Observation {
+    pub(super) job: Option<Box<KeyFrameJob>>,
+    pub(super) output: Box<KeyFrameOutput>,
+}
+
+/// How often the observer looks even where no bell rings.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// How long the publisher is given to say its last word.
+const LAST_WORD: Duration = Duration::from_secs(1);
+
+pub(super) struct ObserverThread {
+    pub(super) shared: Arc<Shared>,
+    pub(super) reports: Consumer<FrameReport>,
+    pub(super) publications: Consumer<Publication>,
+    pub(super) seen: Consumer<Observation>,
+    pub(super) returned: Producer<Observation>,
+    pub(super) listeners: Vec<Listener>,
+}
+
+impl ObserverThread {
+    /// Observes until the publisher has ended; sees to it that a hanging thread ends the drive.
+    pub(super) fn run(mut self, observer: &mut dyn Observer) -> Result<(), RunError> {
+        self.shared.observer_bell.claim();
+        let shared = Arc::clone(&self.shared);
+        let mut hangs = [
+            Hang::of(&shared.frame_progress),
+            Hang::of(&shared.key_frame_progress),
+            Hang::of(&shared.publisher_progress),
+        ];
+        loop {
+            let is_last = self.shared.is_published.load(Ordering::Acquire);
+            self.look(observer);
+            observer.status(&self.status());
+            if is_last {
+                break;
+            }
+            if let Some(blame) = hangs.iter_mut().find_map(Hang::noticed) {
+                self.give_up();
+                return Err(RunError::Hung(blame.name()));
+            }
+            std::thread::park_timeout(LOOK_EVERY);
+        }
+        Ok(())
+    }
+
+    /// The hanging thread cannot be ended: the publisher says the last word, if it can, and the process must end.
+    fn give_up(&self) {
+        self.shared.is_given_up.store(true, Ordering::Relaxed);
+        self.shared.publisher_bell.ring();
+        let begin = Instant::now();
+        while !self.shared.is_published.load(Ordering::Acquire) && begin.elapsed() < LAST_WORD {
+            std::thread::park_timeout(LOOK_EVERY);
+        }
+    }
+
+    fn look(&mut self, observer: &mut dyn Observer) {
+        while let Ok(report) = self.reports.pop() {
+            observer.frame(&report);
+        }
+        while let Ok(publication) = self.publications.pop() {
+            observer.publication(&publication);
+        }
+        while let Ok(observation) = self.seen.pop() {
+            let output = &observation.output;
+            observer.key_frame(&KeyFrameReport {
+                index: output.frame,
+                job: observation.job.as_deref(),
+                output,
+            });
+            // There is room for whatever was lent.
+            let _ = self.returned.push(observation);
+            self.shared.publisher_bell.ring();
+        }
+        for listener in &mut self.listeners {
+            while let Ok(trace) = listener.pop() {
+                observer.trace(&trace);
+            }
+        }
+    }
+
+    fn status(&self) -> Status {
+        let counters = &self.shared.counters;
+        Status {
+            frames: counters.frames.load(Ordering::Relaxed),
+            dropped_frames: counters.dropped_frames.load(Ordering::Relaxed),
+            key_frames: counters.key_frames.load(Ordering::Relaxed),
+            deadline_misses: counters.misses.load(Ordering::Relaxed),
+            fresh: counters.fresh.load(Ordering::Relaxed),
+            restarts: self.shared.restarts.count(),
+        }
+    }
+}
+
+/// Notices a task that stays in one stage.
+struct Hang<'a> {
+    progress: &'a Progress,
+    place: Place,
+    since: Instant,
+}
+
+impl<'a> Hang<'a> {
+    fn of(progress: &'a Progress) -> Self {
+        Self {
+            progress,
+            place: progress.place(),
+            since: Instant::now(),
+        }
+    }
+
+    fn noticed(&mut self) -> Option<Blame> {
+        let place = self.progress.place();
+        if place != self.place {
+            self.place = place;
+            self.since = Instant::now();
+        }
+        let stage = place.stage()?;
+        (self.since.elapsed() > Duration::from_micros(HANG_MICROS)).then_some(Blame::Stage(stage))
+    }
+}

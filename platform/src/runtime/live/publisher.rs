@@ -1,0 +1,237 @@
+//! The publisher's thread: answers as they come, fallbacks when time is up.
+//!
+//! It owns what circulates: jobs and outputs come here from everywhere and go back from here.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use freespace::deadline::Verdict;
+use freespace::health::{Blame, Faults};
+use freespace::pipeline::{KeyFrameJob, KeyFrameOutput, PublishTask, Workers};
+use freespace::port::{Clock as _, SinkPort};
+use freespace::space::Micros;
+use freespace::stage::{Stage, StageProbe as _};
+use rtrb::{Consumer, Producer};
+
+use crate::statistics::Publication;
+
+use super::super::allocation::RealTimeScope;
+use super::super::handover::wait;
+use super::super::restart::{Panicked, guarded};
+use super::super::trace::{Event, Teller};
+use super::frame::FrameNews;
+use super::key_frame::KeyFrameNews;
+use super::observe::Observation;
+use super::{Counters, Shared};
+
+/// Publications that the observer may hold at a time.
+pub(super) const LENT: usize = 2;
+/// Outputs kept here for fallbacks.
+pub(super) const SPARE: usize = 2;
+
+pub(super) struct PublisherThread {
+    pub(super) task: PublishTask,
+    pub(super) sinks: Vec<Box<dyn SinkPort + Send>>,
+    pub(super) shared: Arc<Shared>,
+    pub(super) frame_news: Consumer<FrameNews>,
+    pub(super) key_frame_news: Consumer<KeyFrameNews>,
+    /// Outputs at hand.
+    pub(super) outputs: Vec<Box<KeyFrameOutput>>,
+    pub(super) free_jobs: Producer<Box<KeyFrameJob>>,
+    pub(super) free_outputs: Producer<Box<KeyFrameOutput>>,
+    /// Every publication in numbers.
+    pub(super) publications: Producer<Publication>,
+    /// Publications on loan to the observer.
+    pub(super) seen: Producer<Observation>,
+    /// Publications that come back from the observer.
+    pub(super) returned: Consumer<Observation>,
+    pub(super) lent: usize,
+    pub(super) teller: Teller,
+}
+
+impl PublisherThread {
+    pub(super) fn run(mut self) {
+        self.shared.publisher_bell.claim();
+        let _scope = RealTimeScope::enter();
+        let mut is_over = false;
+        while !is_over {
+            wait(&self.shared.clock, self.task.next_timer());
+            self.take_back();
+            while let Ok(news) = self.frame_news.pop() {
+                self.hear_frame(&news);
+            }
+            while let Ok(news) = self.key_frame_news.pop() {
+                is_over |= self.hear_key_frame(news);
+            }
+            is_over |= self.shared.is_given_up.load(Ordering::Relaxed);
+            // No answer can come any more at the end: what is still awaited leaves now.
+            let until = if is_over {
+                Micros(u64::MAX)
+            } else {
+                self.shared.clock.now()
+            };
+            self.fall_back(until);
+        }
+        self.shut_down();
+    }
+
+    fn hear_frame(&mut self, news: &FrameNews) {
+        match news {
+            FrameNews::Announced(announcement) => self.task.announce(*announcement),
+            FrameNews::Panicked(blame) => self.task.panicked(*blame, self.shared.clock.now()),
+            FrameNews::Ended => self.task.expect_no_more(),
+        }
+    }
+
+    /// Whether this was the last news.
+    fn hear_key_frame(&mut self, news: KeyFrameNews) -> bool {
+        match news {
+            KeyFrameNews::Answered(job, output) => self.take_answer(job, output),
+            KeyFrameNews::Failed(job, cause) => {
+                self.task.fail(job.sequence, cause);
+                self.free(Some(job), None);
+            }
+            KeyFrameNews::Ended => return true,
+        }
+        false
+    }
+
+    fn take_answer(&mut self, job: Box<KeyFrameJob>, mut output: Box<KeyFrameOutput>) {
+        let clock = &self.shared.clock;
+        let sequence = output.sequence;
+        self.shared.publisher_progress.enter(Stage::Emit);
+        let verdict = guarded(|| self.task.answer(clock.now(), &mut output, clock));
+        match verdict {
+            Ok(Verdict::Publish) => {
+                self.send(&output);
+                self.shared.publisher_progress.rest();
+                self.task.keep(&output);
+                self.show(Some(job), output);
+            }
+            Ok(Verdict::Late) => {
+                self.shared.publisher_progress.rest();
+                let micros = clock.now().since(output.stamp);
+                self.teller
+                    .tell(clock.now(), Event::AnsweredLate(sequence, micros));
+                self.task.keep(&output);
+                self.free(Some(job), Some(output));
+            }
+            Err(Panicked) => {
+                self.note_panic();
+                self.free(Some(job), Some(output));
+            }
+        }
+    }
+
+    fn fall_back(&mut self, until: Micros) {
+        loop {
+            let workers = Workers {
+                frame: self.shared.frame_progress.place().stage(),
+                key_frame: self.shared.key_frame_progress.place().stage(),
+            };
+            // One is kept for this: fewer are lent than there are.
+            let Some(mut output) = self.outputs.pop() else {
+                return;
+            };
+            let clock = &self.shared.clock;
+            let now = clock.now();
+            let fell_back = guarded(|| self.task.fall_back(until, now, &workers, &mut output, clock));
+            match fell_back {
+                Ok(true) => {
+                    self.send(&output);
+                    self.show(None, output);
+                }
+                Ok(false) => {
+                    self.outputs.push(output);
+                    return;
+                }
+                Err(Panicked) => {
+                    self.outputs.push(output);
+                    self.note_panic();
+                }
+            }
+        }
+    }
+
+    /// *emit* panicked: the next message is an invalid one.
+    fn note_panic(&mut self) {
+        let blame = Blame::Stage(Stage::Emit);
+        let now = self.shared.clock.now();
+        self.shared.publisher_progress.rest();
+        if self.shared.restarts.may_restart() {
+            self.teller.tell(now, Event::Panicked(blame));
+            self.task.panicked(blame, now);
+        } else {
+            self.teller.tell(now, Event::PanickedTooOften(blame));
+        }
+    }
+
+    fn shut_down(&mut self) {
+        if let Some(mut output) = self.outputs.pop() {
+            let clock = &self.shared.clock;
+            self.task.shut_down(clock.now(), &mut output, clock);
+            self.send(&output);
+        }
+        self.shared.is_published.store(true, Ordering::Release);
+        self.shared.observer_bell.ring();
+    }
+
+    fn send(&mut self, output: &KeyFrameOutput) {
+        let message = &output.message[..output.message_len];
+        for sink in &mut self.sinks {
+            if sink.publish(message, &output.can_frames).is_err() {
+                self.task.report(Faults::CAN_SEND_FAILED);
+                self.teller.tell(self.shared.clock.now(), Event::SinkRefused);
+            }
+        }
+    }
+
+    /// Counts a publication and lends it to the observer, if that holds few enough.
+    fn show(&mut self, job: Option<Box<KeyFrameJob>>, output: Box<KeyFrameOutput>) {
+        let counters = &self.shared.counters;
+        Counters::add(&counters.key_frames, 1);
+        Counters::add(&counters.misses, u64::from(output.is_miss()));
+        counters.fresh.store(self.task.fresh(), Ordering::Relaxed);
+        if self.publications.push(Publication::of(&output)).is_err() {
+            Counters::add(&counters.unobserved, 1);
+        }
+        if self.lent < LENT {
+            match self.seen.push(Observation { job, output }) {
+                Ok(()) => {
+                    self.lent += 1;
+                    self.shared.observer_bell.ring();
+                }
+                Err(rtrb::PushError::Full(back)) => self.unseen(back),
+            }
+        } else {
+            self.unseen(Observation { job, output });
+        }
+    }
+
+    fn unseen(&mut self, observation: Observation) {
+        Counters::add(&self.shared.counters.unobserved, 1);
+        self.free(observation.job, Some(observation.output));
+    }
+
+    fn take_back(&mut self) {
+        while let Ok(observation) = self.returned.pop() {
+            self.lent -= 1;
+            self.free(observation.job, Some(observation.output));
+        }
+    }
+
+    /// Boxes go back to where they are needed; some outputs stay here for fallbacks.
+    fn free(&mut self, job: Option<Box<KeyFrameJob>>, output: Option<Box<KeyFrameOutput>>) {
+        if let Some(job) = job {
+            // There is room for every job.
+            let _ = self.free_jobs.push(job);
+        }
+        if let Some(output) = output {
+            if self.outputs.len() < SPARE {
+                self.outputs.push(output);
+            } else if let Err(rtrb::PushError::Full(output)) = self.free_outputs.push(output) {
+                self.outputs.push(output);
+            }
+        }
+    }
+}

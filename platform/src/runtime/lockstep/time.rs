@@ -1,0 +1,51 @@
+//! How long a task's work takes.
+
+use freespace::port::Clock;
+use freespace::space::Micros;
+use freespace::stage::{Stage, StageProbe};
+
+use crate::clock::MonotonicClock;
+
+/// The clock that a task reads while it works, and the probe that it reports to.
+pub(super) trait TaskTime: Clock + StageProbe {
+    /// The task begins to work.
+    fn begin(&self, at: Micros);
+    /// When the work that began at `began` is done; none where it hangs for ever.
+    fn end(&self, began: Micros) -> Option<Micros>;
+    /// The stage that the task was in last.
+    fn stage(&self) -> Option<Stage>;
+}
+
+/// Measures the work's real time for the report, and counts it as none.
+#[derive(Default)]
+pub(super) struct Measured {
+    clock: MonotonicClock,
+    stage: std::cell::Cell<Option<Stage>>,
+}
+
+impl Clock for Measured {
+    fn now(&self) -> Micros {
+        self.clock.now()
+    }
+}
+
+impl StageProbe for Measured {
+    fn enter(&self, stage: Stage) -> bool {
+        self.stage.set(Some(stage));
+        true
+    }
+
+    fn rest(&self) {}
+}
+
+impl TaskTime for Measured {
+    fn begin(&self, _at: Micros) {}
+
+    fn end(&self, began: Micros) -> Option<Micros> {
+        Some(began)
+    }
+
+    fn stage(&self) -> Option<Stage> {
+        self.stage.get()
+    }
+}
