@@ -13,6 +13,7 @@ use freespace::segmentation::TileConfig;
 use freespace::track::WheelConfig;
 use nalgebra::{Point3, Vector3};
 
+use super::memory_watch::MemoryWatch;
 use super::service::Service;
 use super::{Failure, Pace};
 use crate::bad_input::BadInput;
@@ -132,6 +133,7 @@ pub(super) struct Recorder {
     error: Option<RecordingError>,
     progress: Progress,
     service: Service,
+    memory: Option<MemoryWatch>,
 }
 
 /// What is left of a recorder when its run is over.
@@ -163,6 +165,7 @@ impl Recorder {
             error: None,
             progress,
             service: Service::from_environment(),
+            memory: None,
         }
     }
 
@@ -224,6 +227,8 @@ impl Recorder {
             allocations_after_start: runtime::allocation::is_installed()
                 .then_some(summary.allocations_after_start),
             peak_rss_mb: peak_rss_mb(),
+            memory: (self.memory.as_ref()).map(|memory| memory.finish(summary.page_faults)),
+            restarts: summary.restarts,
         };
         Ok(Recorded {
             recording: self.recording,
@@ -299,6 +304,7 @@ impl Recorder {
 impl Observer for Recorder {
     fn started(&mut self, start: &Start<'_>) {
         self.service.started(start);
+        self.memory = Some(MemoryWatch::new(start.plan));
     }
 
     fn frame(&mut self, report: &FrameReport) {
@@ -330,6 +336,9 @@ impl Observer for Recorder {
 
     fn status(&mut self, status: &Status) {
         self.service.status(status, &self.statistics);
+        if let Some(memory) = &mut self.memory {
+            memory.look();
+        }
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {

@@ -7,6 +7,7 @@ mod demo;
 mod drive;
 mod eval;
 mod failure;
+mod memory_watch;
 mod replay;
 mod service;
 mod table;

@@ -16,10 +16,17 @@ pub(super) fn print(report: &Report, engine: &str, out: &Path, as_json: bool) {
     line("deadlines met", format!("{met} of {}", report.key_frames));
     if let Some(latency) = report.capture_to_publish_ms {
         let text = format!(
-            "p50 {:.0}  p99 {:.0}  max {:.0} ms",
-            latency.p50, latency.p99, latency.max
+            "p50 {:.0}  p99 {:.0}  p99.9 {:.0}  max {:.0} ms",
+            latency.p50, latency.p99, latency.p99_9, latency.max
         );
         line("capture to publish", text);
+    }
+    if let Some(frame) = report.frame_ms {
+        let text = format!(
+            "p50 {:.1}  p99 {:.1}  p99.9 {:.1}  max {:.1} ms",
+            frame.p50, frame.p99, frame.p99_9, frame.max
+        );
+        line("frame and track", text);
     }
     let slowest: Vec<String> = report
         .stages_ms
@@ -41,6 +48,13 @@ pub(super) fn print(report: &Report, engine: &str, out: &Path, as_json: bool) {
     }
     if let Some(mb) = report.peak_rss_mb {
         line("memory", format!("{mb:.0} MB at most"));
+    }
+    if let Some(memory) = &report.memory {
+        let text = format!(
+            "{:.1} MB planned, {:.1} MB locked, grew by {:.2} MB, {} page faults once warm",
+            memory.planned_mb, memory.locked_mb, memory.rss_growth_mb, memory.page_faults_after_warm_up
+        );
+        line("", text);
     }
     line("network", engine.to_owned());
     if let Some(truth) = &report.truth {

@@ -6,6 +6,7 @@ mod live;
 mod lockstep;
 pub mod memory;
 mod network;
+mod page_faults;
 mod restart;
 pub mod rights;
 pub mod supervision;
@@ -136,6 +137,8 @@ pub struct RunSummary {
     pub restarts: u32,
     /// Allocations made by the real-time threads after their start.
     pub allocations_after_start: u64,
+    /// Page faults of warm real-time threads.
+    pub page_faults: u64,
 }
 
 /// Wheel readings up to this long after a frame's stamp are taken in before the frame: a frame is delivered that much later

@@ -7,9 +7,13 @@ use freespace::health::Blame;
 use freespace::port::{CameraAnswer, CameraPort, Clock as _, FrameBuffer};
 use rtrb::Consumer;
 
+use super::super::page_faults::FaultMeter;
 use super::super::restart::guarded;
 use super::super::trace::{Event, Teller};
 use super::{Counters, Shared};
+
+/// Frames after which every buffer has been through.
+const WARM_FRAMES: u32 = 60;
 
 pub(super) struct CameraThread {
     pub(super) camera: Box<dyn CameraPort + Send>,
@@ -25,7 +29,9 @@ pub(super) struct CameraThread {
 impl CameraThread {
     pub(super) fn run(mut self) {
         let mut is_started = false;
+        let mut faults = FaultMeter::warm_after(WARM_FRAMES);
         while !self.is_to_end() {
+            faults.look(&self.shared.counters.page_faults);
             let Some(mut buffer) = self.buffer() else {
                 return;
             };

@@ -11,6 +11,7 @@ use freespace::stage::{Stage, StageProbe as _};
 use rtrb::{Consumer, Producer};
 
 use super::super::allocation::{RealTimeScope, outside_scopes};
+use super::super::page_faults::FaultMeter;
 use super::super::restart::{Panicked, guarded};
 use super::super::trace::{Event, Teller};
 use super::super::{FrameReport, WHEEL_LOOKAHEAD_MICROS};
@@ -25,6 +26,9 @@ pub(super) enum FrameNews {
     /// No frame will come any more.
     Ended,
 }
+
+/// Frames after which every buffer has been through.
+const WARM_FRAMES: u32 = 60;
 
 pub(super) struct FrameThread {
     pub(super) task: FrameTask,
@@ -50,7 +54,9 @@ impl FrameThread {
     pub(super) fn run(mut self) {
         self.shared.frames.claim();
         let _scope = RealTimeScope::enter();
+        let mut faults = FaultMeter::warm_after(WARM_FRAMES);
         while let Some(buffer) = self.shared.frames.wait() {
+            faults.look(&self.shared.counters.page_faults);
             self.learn();
             let is_wanted =
                 buffer.key_frame_wanted | self.shared.key_frame_wanted.swap(false, Ordering::Relaxed);

@@ -11,6 +11,7 @@ use rtrb::{Consumer, Producer};
 
 use super::super::ThreadedNetwork;
 use super::super::allocation::{RealTimeScope, outside_scopes};
+use super::super::page_faults::FaultMeter;
 use super::super::restart::{Panicked, guarded};
 use super::super::trace::{Event, Teller};
 use super::Shared;
@@ -24,6 +25,9 @@ pub(super) enum KeyFrameNews {
     /// No answer will come any more.
     Ended,
 }
+
+/// Key frames after which every box has been through.
+const WARM_KEY_FRAMES: u32 = 8;
 
 pub(super) struct KeyFrameThread {
     pub(super) task: KeyFrameTask,
@@ -47,7 +51,9 @@ impl KeyFrameThread {
         self.shared.jobs.claim();
         self.network.claim();
         let _scope = RealTimeScope::enter();
+        let mut faults = FaultMeter::warm_after(WARM_KEY_FRAMES);
         while let Some(job) = self.shared.jobs.wait() {
+            faults.look(&self.shared.counters.page_faults);
             let news = self.answer(job);
             self.shared.key_frame_progress.rest();
             self.tell(news);

@@ -67,6 +67,7 @@ struct Counters {
     misses: AtomicU64,
     fresh: AtomicU64,
     unobserved: AtomicU64,
+    page_faults: AtomicU64,
 }
 
 impl Counters {
@@ -144,6 +145,7 @@ impl Shared {
             unobserved: count(&self.counters.unobserved),
             restarts: self.restarts.count(),
             allocations_after_start,
+            page_faults: count(&self.counters.page_faults),
         }
     }
 }

@@ -17,6 +17,7 @@ use crate::statistics::Publication;
 
 use super::super::allocation::RealTimeScope;
 use super::super::handover::wait;
+use super::super::page_faults::FaultMeter;
 use super::super::restart::{Panicked, guarded};
 use super::super::trace::{Event, Teller};
 use super::frame::FrameNews;
@@ -28,6 +29,9 @@ use super::{Counters, Shared};
 pub(super) const LENT: usize = 2;
 /// Outputs kept here for fallbacks.
 pub(super) const SPARE: usize = 2;
+
+/// Rounds after which every box has been through: an announcement, an answer and a return are a round each.
+const WARM_ROUNDS: u32 = 24;
 
 pub(super) struct PublisherThread {
     pub(super) task: PublishTask,
@@ -53,8 +57,10 @@ impl PublisherThread {
     pub(super) fn run(mut self) {
         self.shared.publisher_bell.claim();
         let _scope = RealTimeScope::enter();
+        let mut faults = FaultMeter::warm_after(WARM_ROUNDS);
         let mut is_over = false;
         while !is_over {
+            faults.look(&self.shared.counters.page_faults);
             wait(&self.shared.clock, self.task.next_timer());
             self.take_back();
             while let Ok(news) = self.frame_news.pop() {

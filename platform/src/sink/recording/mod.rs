@@ -19,7 +19,7 @@ mod timing;
 mod trajectory;
 
 pub use picture::{ImageView, Upsampler};
-pub use report::{Report, RunCounts};
+pub use report::{LiveMemory, Report, RunCounts};
 
 use std::io::{self, Write};
 use std::path::Path;

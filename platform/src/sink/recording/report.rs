@@ -22,6 +22,25 @@ pub struct RunCounts {
     pub allocations_after_start: Option<u64>,
     /// Largest resident memory; none where the system does not say.
     pub peak_rss_mb: Option<f64>,
+    /// Memory while it ran; none where it did not run live.
+    pub memory: Option<LiveMemory>,
+    /// Parts that panicked and were started anew.
+    pub restarts: u32,
+}
+
+/// The process's memory while a live run went on.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct LiveMemory {
+    /// What the plan at the start added up to.
+    pub planned_mb: f64,
+    /// What the kernel holds locked at the end; 0 where locking was refused or not wanted.
+    pub locked_mb: f64,
+    /// Growth of the resident memory from the tenth second to the end.
+    pub rss_growth_mb: f64,
+    /// Growth of what C and C++ libraries hold of the heap, over the same time.
+    pub library_heap_growth_mb: f64,
+    /// Page faults of real-time threads after their warm-up.
+    pub page_faults_after_warm_up: u64,
 }
 
 /// A run in numbers.
@@ -58,8 +77,12 @@ pub struct Report {
     pub scale: Counts,
     /// What was lost on the way.
     pub drops: Drops,
+    /// Parts that panicked and were started anew.
+    pub restarts: u32,
     /// Largest resident memory.
     pub peak_rss_mb: Option<f64>,
+    /// Memory while it ran; null where it did not run live.
+    pub memory: Option<LiveMemory>,
     /// Comparison with truth; null where there is none.
     pub truth: Option<Truth>,
 }
@@ -86,7 +109,9 @@ impl Report {
             tracking: statistics.tracking(),
             scale: statistics.scale(),
             drops: statistics.drops(),
+            restarts: counts.restarts,
             peak_rss_mb: counts.peak_rss_mb,
+            memory: counts.memory,
             truth,
         }
     }
