@@ -9,13 +9,15 @@ use freespace::pipeline::{
 };
 
 use super::Check;
-use crate::runtime::CIRCULATING;
 use crate::runtime::memory::MemoryPlan;
 use crate::runtime::rights::{RealTimeConfig, ThreadRole, enter, thread_builder};
 use crate::segmenter::Segmenter;
 
 /// Frames between camera and frame task: one being worked on, one waiting, one being filled.
 const FRAME_BUFFERS: usize = 3;
+
+/// Boxes of each kind that circulate between the threads.
+const CIRCULATING: usize = 6;
 
 /// All that a live run holds but its devices and its network; it is held, never run.
 pub struct Pipeline {
