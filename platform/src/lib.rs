@@ -5,6 +5,7 @@ pub mod camera;
 pub mod cli;
 pub mod clock;
 pub mod config;
+pub mod doctor;
 pub mod eval;
 pub mod runtime;
 pub mod segmenter;

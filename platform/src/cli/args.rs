@@ -18,7 +18,7 @@ Examples:
   freespace replay drive --config config/kitti.toml --can drive/wheel.candump --out out/drive
   freespace eval trajectory out/drive/trajectory.kitti drive/poses.txt
 
-Exit codes: 0 done, 1 internal failure, 2 bad input."
+Exit codes: 0 done, 1 internal failure or a check of doctor that fails, 2 bad input."
 )]
 pub struct Cli {
     /// What to do.
@@ -36,6 +36,29 @@ pub enum Command {
     /// Compare results with truth.
     #[command(subcommand)]
     Eval(EvalCommand),
+    /// Check this computer: rights, kernel, memory, devices, network, timer; each with its fix.
+    Doctor(DoctorArgs),
+}
+
+/// Arguments of `freespace doctor`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  freespace doctor
+  freespace doctor --config config/kitti.toml --jitter-seconds 60
+  freespace doctor --json | jq '.checks[] | select(.state != \"ok\")'
+
+Exit codes: 0 nothing fails (there may be warnings), 1 a check fails, 2 bad input.")]
+pub struct DoctorArgs {
+    /// Configuration whose memory, network and threads are checked; the shipped config/demo.toml without it.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Length of the timer test in seconds; 0 leaves it out.
+    #[arg(long, default_value_t = 10.0, value_name = "N", value_parser = test_seconds)]
+    pub jitter_seconds: f64,
+    /// Print JSON in place of the table.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Arguments of `freespace demo`.
@@ -205,5 +228,12 @@ fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if (1.0..=3600.0).contains(&value) => Ok(value),
         _ => Err("give a number of seconds from 1 to 3600".to_owned()),
+    }
+}
+
+fn test_seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if (0.0..=3600.0).contains(&value) => Ok(value),
+        _ => Err("give a number of seconds from 0 to 3600".to_owned()),
     }
 }

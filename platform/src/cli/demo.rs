@@ -22,7 +22,7 @@ use crate::wheels::SimEncoders;
 use crate::world::{Encoders, GridSpec, Label, Sensor, SimCamera, Textures, World, WorldConfig};
 
 /// The configuration that is used where none is given.
-const SHIPPED: &str = "config/demo.toml";
+pub(super) const SHIPPED: &str = "config/demo.toml";
 
 /// Runs the demo.
 ///
@@ -120,7 +120,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
 }
 
 /// A shipped file: beside the current folder, else where the program was built.
-fn shipped(file: &str) -> std::path::PathBuf {
+pub(super) fn shipped(file: &str) -> std::path::PathBuf {
     let here = std::path::PathBuf::from(file);
     if here.exists() {
         return here;

@@ -1,5 +1,6 @@
 //! Why a command ended early, and its exit code.
 
+use std::fmt;
 use std::process::ExitCode;
 
 use miette::{Diagnostic, MietteHandlerOpts, Report};
@@ -27,6 +28,23 @@ impl Failure {
     pub fn internal(error: impl Diagnostic + Send + Sync + 'static) -> Self {
         set_printer();
         Self::Internal(Report::new(error))
+    }
+}
+
+impl Failure {
+    /// What was asked for cannot be had on this computer; `message` says what.
+    #[must_use]
+    pub fn unmet(message: String) -> Self {
+        set_printer();
+        Self::Internal(Report::msg(message))
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::BadInput(report) | Self::Internal(report) => write!(formatter, "{report}"),
+        }
     }
 }
 

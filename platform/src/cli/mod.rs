@@ -1,9 +1,10 @@
 //! The command line: arguments in, an exit code out.
 //!
-//! Exit codes: 0 done, 1 internal failure, 2 bad input (file, line or field, and fix are printed to standard error).
+//! Exit codes: 0 done, 1 internal failure or a check of doctor that fails, 2 bad input (file, line or field, and fix are printed to standard error).
 
 mod args;
 mod demo;
+mod doctor;
 mod drive;
 mod eval;
 mod failure;
@@ -12,8 +13,9 @@ mod replay;
 mod service;
 mod table;
 
-pub use args::{Ablation, Cli, Command, DemoArgs, EvalCommand, Pace, ReplayArgs, TruthArgs};
+pub use args::{Ablation, Cli, Command, DemoArgs, DoctorArgs, EvalCommand, Pace, ReplayArgs, TruthArgs};
 pub use demo::run as run_demo;
+pub use doctor::run as run_doctor;
 pub use eval::run as run_eval;
 pub use failure::{Failure, finish};
 pub use replay::{ReplayInputs, open_inputs, run as run_replay};

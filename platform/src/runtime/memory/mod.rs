@@ -120,9 +120,9 @@ impl MemoryPlan {
     pub fn complete(&mut self) {
         let mappings = Mappings::now();
         let heap = CHeap::now();
-        let of = |kind| -> u64 { self.parts_of(kind).map(|part| part.bytes).sum() };
         let in_use = heap.used_bytes + outside_heap(&mappings, &heap);
-        let unmeasured = in_use.saturating_sub(of(PartKind::Heap) + of(PartKind::Library));
+        let unmeasured =
+            in_use.saturating_sub(self.bytes_of(PartKind::Heap) + self.bytes_of(PartKind::Library));
         self.add("program", PartKind::File, mappings.program_bytes);
         self.add(
             "network library, its file",
@@ -141,8 +141,13 @@ impl MemoryPlan {
         }
     }
 
-    fn parts_of(&self, kind: PartKind) -> impl Iterator<Item = &Part> {
-        self.parts.iter().filter(move |part| part.kind == kind)
+    /// Sum of the rows of a kind.
+    #[must_use]
+    pub fn bytes_of(&self, kind: PartKind) -> u64 {
+        (self.parts.iter())
+            .filter(|part| part.kind == kind)
+            .map(|part| part.bytes)
+            .sum()
     }
 
     /// The rows, in the order in which they were added.

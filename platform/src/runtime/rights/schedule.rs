@@ -94,7 +94,8 @@ fn normal(tid: libc::pid_t, nice: i32, slice_ns: u64) -> Result<Scheduling, i32>
     Ok(Scheduling::Normal { nice, slice_ns })
 }
 
-/// Runs `start`, which starts threads that are not ours (a network engine's), and gives those threads the role's policy.
+/// Runs `start`, which starts threads that are not ours (a network engine's), and gives those threads the role's policy,
+/// CPUs and stack size.
 ///
 /// Threads inherit the policy of the one that starts them, and engines start theirs where their session is made, on a normal
 /// thread: without this the network's helpers would be normal ones, and its thread would wait for them. Other threads that
@@ -105,9 +106,9 @@ pub fn adopt_new_threads<T>(
     start: impl FnOnce() -> T,
 ) -> (T, Lacks) {
     let before = threads();
-    let started = start();
-    let mut lacks = Lacks::new();
     let settings = config.of(role);
+    let started = super::stack::with_default_size(settings.stack_kib as usize * 1024, start);
+    let mut lacks = Lacks::new();
     for tid in threads() {
         if before.contains(&tid) {
             continue;

@@ -1,4 +1,4 @@
-//! A stack that is in memory before it is needed: every page of it is written to once.
+//! Stacks: every page of ours written to once, so that it is in memory before it is needed; those of a library's threads small.
 
 use std::hint::black_box;
 use std::mem::MaybeUninit;
@@ -33,6 +33,42 @@ fn descend(bytes: usize) {
     }
     // Used after the call, so that the frame stays and the call is no loop.
     black_box(&page);
+}
+
+unsafe extern "C" {
+    fn pthread_getattr_default_np(attributes: *mut libc::pthread_attr_t) -> libc::c_int;
+    fn pthread_setattr_default_np(attributes: *const libc::pthread_attr_t) -> libc::c_int;
+}
+
+/// Runs `start`, which starts threads that do not say how big their stack is: they get `bytes` instead of the 8 MB of
+/// `ulimit -s`, all of which a memory lock would hold in RAM.
+pub(super) fn with_default_size<T>(bytes: usize, start: impl FnOnce() -> T) -> T {
+    let before = replace_default_size(bytes);
+    let started = start();
+    if let Some(before) = before {
+        replace_default_size(before);
+    }
+    started
+}
+
+/// The size that was the default; none where it stays as it is, which costs memory and nothing else.
+fn replace_default_size(bytes: usize) -> Option<usize> {
+    let mut attributes = MaybeUninit::<libc::pthread_attr_t>::uninit();
+    // SAFETY: the call initialises the attributes, under the C library's own lock.
+    if unsafe { pthread_getattr_default_np(attributes.as_mut_ptr()) } != 0 {
+        return None;
+    }
+    let mut before = 0;
+    // SAFETY: the attributes were initialised above; the size is written by the first call; the default is replaced under the
+    // C library's own lock; the attributes are not used after the last call.
+    let is_set = unsafe {
+        let is_set = libc::pthread_attr_getstacksize(attributes.as_ptr(), &raw mut before) == 0
+            && libc::pthread_attr_setstacksize(attributes.as_mut_ptr(), bytes) == 0
+            && pthread_setattr_default_np(attributes.as_ptr()) == 0;
+        libc::pthread_attr_destroy(attributes.as_mut_ptr());
+        is_set
+    };
+    is_set.then_some(before)
 }
 
 /// Bytes below here, and in all, of the calling thread's stack.

@@ -4,6 +4,8 @@
 
 mod notify;
 mod stop;
+#[cfg(test)]
+mod unit_tests;
 
 pub use notify::{Notifier, STATUS_BYTES, Watchdog};
 pub use stop::stop_on_signals;

@@ -1,0 +1,191 @@
+//! `freespace doctor`: the checks, the memory plan and the timer's histogram, for a reader or as JSON.
+
+use std::io::IsTerminal as _;
+use std::path::Path;
+use std::time::Duration;
+
+use freespace::frame::{Camera, Lens};
+use freespace::pipeline::{Cadence, PipelineConfig};
+use serde::Serialize;
+
+use super::demo::{SHIPPED, shipped};
+use super::drive;
+use super::{DoctorArgs, Failure};
+use crate::config::{Config, ImageSize, Wheels};
+use crate::doctor::{self, Check, Jitter, NetworkTiming, Pipeline, State, System};
+use crate::runtime::memory::MemoryPlan;
+use crate::runtime::rights::{ThreadRole, adopt_new_threads};
+use crate::segmenter::Segmenter;
+
+/// All that was found.
+#[derive(Serialize)]
+struct Findings {
+    config: String,
+    checks: Vec<Check>,
+    memory_plan: MemoryPlan,
+    total_bytes: u64,
+    network: Option<NetworkTiming>,
+    jitter: Option<Jitter>,
+}
+
+/// Looks at this computer, as a run of the configuration would find it.
+///
+/// # Errors
+/// A bad configuration; a check that fails; no thread to check with.
+pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
+    let path = args.config.clone().unwrap_or_else(|| shipped(SHIPPED));
+    let config = Config::load(&path)?;
+    let findings = examine(&path, &config, args.jitter_seconds)?;
+    if args.json {
+        // Findings always have a JSON form.
+        println!("{}", serde_json::to_string_pretty(&findings).unwrap_or_default());
+    } else {
+        print!("{}", text_of(&findings));
+    }
+    let failing: Vec<&str> = (findings.checks.iter())
+        .filter(|check| check.state == State::Fails)
+        .map(|check| check.name)
+        .collect();
+    if failing.is_empty() {
+        return Ok(());
+    }
+    Err(Failure::unmet(format!(
+        "the promise cannot be kept on this computer as it is: {}",
+        failing.join(", ")
+    )))
+}
+
+fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings, Failure> {
+    let no_thread = |error: std::io::Error| Failure::unmet(format!("a thread could not be started: {error}"));
+    let system = System::default();
+    let real_time = config.real_time();
+    let pipeline = pipeline_config(path, config);
+    let mut plan = MemoryPlan::new();
+    let (mut network, _) = plan.measure_library("network", || {
+        adopt_new_threads(ThreadRole::Network, &real_time, || drive::open_network(config))
+    });
+    let held = Pipeline::construct(&pipeline, &mut plan);
+    plan.stacks(&real_time, &ThreadRole::ALL[..ThreadRole::Monitor as usize]);
+    let lock = doctor::memory_lock(&real_time, &mut plan);
+    let is_locked = lock.state == State::Ok;
+    let mut checks = vec![
+        doctor::kernel(&system),
+        doctor::priorities(&real_time).map_err(no_thread)?,
+        lock,
+        doctor::throttling(&system),
+        doctor::governor(&system),
+        doctor::interrupts(&system, &real_time),
+        doctor::huge_pages(&system),
+        doctor::swap(&system, is_locked),
+    ];
+    let (network, timing) = match &mut network {
+        Ok(network) => {
+            let network: &mut dyn Segmenter = &mut **network;
+            let slice = pipeline.slices.segmentation_micros;
+            doctor::network(network, config.network.tiles, slice, &real_time).map_err(no_thread)?
+        }
+        Err(failure) => {
+            let fix = "give a manifest whose model is there, in [network]; run scripts/fetch-onnxruntime.sh";
+            (Check::fails("network", failure.to_string(), fix), None)
+        }
+    };
+    checks.push(network);
+    checks.push(doctor::camera(&system));
+    checks.push(doctor::can(&system, doctor::bitrate_by_ip));
+    checks.push(doctor::shared_memory(&system));
+    let jitter = (jitter_seconds > 0.0)
+        .then(|| {
+            if std::io::stderr().is_terminal() {
+                eprintln!("measuring the timer for {jitter_seconds} s ...");
+            }
+            doctor::measure_jitter(&real_time, Duration::from_secs_f64(jitter_seconds))
+        })
+        .transpose()
+        .map_err(|error| Failure::unmet(error.to_string()))?;
+    checks.extend(
+        jitter
+            .as_ref()
+            .map(|jitter| jitter.check(pipeline.slices.guard_micros)),
+    );
+    drop(held);
+    Ok(Findings {
+        config: path.display().to_string(),
+        checks,
+        total_bytes: plan.total_bytes(),
+        memory_plan: plan,
+        network: timing,
+        jitter,
+    })
+}
+
+/// The pipeline of a configuration; where its lens stands in a recording's folder, any lens needs the same memory.
+#[expect(clippy::cast_precision_loss, reason = "image sizes")]
+fn pipeline_config(path: &Path, config: &Config) -> PipelineConfig {
+    let ImageSize { width, height } = config.camera.size().unwrap_or(ImageSize {
+        width: 1280,
+        height: 720,
+    });
+    let camera = config.camera_for(path, width, height).unwrap_or_else(|_| Camera {
+        lens: Lens::pinhole(
+            width as f64,
+            width as f64,
+            0.5 * width as f64,
+            0.5 * height as f64,
+        ),
+        width,
+        height,
+        mount: config.camera.mount,
+    });
+    let odometer = match config.wheels() {
+        Wheels::None => None,
+        Wheels::Sim(odometer) => Some(odometer),
+        Wheels::Can(wheels) => Some(wheels.odometer),
+    };
+    drive::pipeline_config(config, camera, odometer, Cadence::Micros(500_000))
+}
+
+fn text_of(findings: &Findings) -> String {
+    use std::fmt::Write as _;
+    let mut text = format!("freespace doctor, {}\n\n", findings.config);
+    for check in &findings.checks {
+        // A `String` takes all that is written to it, here and below.
+        let _ = writeln!(
+            text,
+            "{:<8} {:<16} {}",
+            check.state.name(),
+            check.name,
+            check.seen
+        );
+        if let Some(fix) = &check.fix {
+            let _ = writeln!(text, "{:<8} {:<16} fix: {fix}", "", "");
+        }
+    }
+    let _ = write!(text, "\nmemory plan\n{}", findings.memory_plan);
+    if let Some(jitter) = &findings.jitter {
+        let _ = write!(
+            text,
+            "\ntimer: {} wake-ups in {} s at {}\n  p50 {:.0} us  p99 {:.0} us  p99.9 {:.0} us  latest {:.0} us\n{}",
+            jitter.wake_ups,
+            jitter.seconds,
+            jitter.scheduling,
+            jitter.p50_micros,
+            jitter.p99_micros,
+            jitter.p99_9_micros,
+            jitter.max_micros,
+            jitter.table()
+        );
+    }
+    let count = |state: State| {
+        (findings.checks.iter())
+            .filter(|check| check.state == state)
+            .count()
+    };
+    let _ = writeln!(
+        text,
+        "\n{} ok, {} to look at, {} in the way",
+        count(State::Ok),
+        count(State::Warning),
+        count(State::Fails)
+    );
+    text
+}
