@@ -6,6 +6,7 @@
 //!
 //! The image is never warped: points are undistorted by the [`Lens`], and a [`RayTable`] holds each pixel's unit ray.
 
+mod colour;
 mod condition;
 mod format;
 mod image;

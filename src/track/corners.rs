@@ -1,17 +1,15 @@
 //! Corners: new points to track, in the parts of the image that have too few.
 //!
-//! In: the luma `[H, W] u8` and the pixels of the live tracks. Out: new corners, full-size pixels. The image is divided into at
-//! most [`CORNER_CELLS`] cells, each wants [`CORNERS_PER_CELL`] tracks; only cells short of tracks are searched. The score is
-//! the smaller eigenvalue of the mean gradient tensor over 7x7 pixels (Shi and Tomasi, "Good features to track", 1994). Below
-//! the horizon the threshold is lower, so that weakly textured asphalt still gets points.
+//! In: the luma `[H, W] u8` and the pixels of the live tracks. Out: new corners, full-size pixels, by their [`CornerScore`]. The
+//! image is divided into at most [`CORNER_CELLS`] cells, each wants [`CORNERS_PER_CELL`] tracks; only cells short of tracks are
+//! searched. Below the horizon the threshold is lower, so that weakly textured asphalt still gets points.
 //!
-//! Invariant: a new corner keeps [`MIN_DISTANCE_PX`] from every track and [`BORDER_PX`] from the border. Cost: some 15 operations a
-//! pixel of the searched cells, at most [`SEARCHED_CELLS`] cells a call, in turn. When there is no room for a cell's corners the
-//! search ends, and goes on there in the next call.
+//! Invariant: a new corner keeps [`MIN_DISTANCE_PX`] from every track and [`BORDER_PX`] from the border. Cost: at most as many
+//! cells a call as the caller allows, in turn. When there is no room for a cell's corners the search ends, and goes on there
+//! in the next call. Where a search found nothing it rests for [`REST_CALLS`] calls.
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    clippy::cast_possible_wrap,
     clippy::cast_precision_loss,
     reason = "pixel arithmetic: coordinates are bounded by the image"
 )]
@@ -27,26 +25,45 @@ use nalgebra::Vector2;
 )]
 use num_traits::Float as _;
 
-use crate::budget::{CORNER_CELL_PX, CORNER_CELLS};
+use super::corner_score::{Area, CornerScore, MARGIN_PX};
+use crate::budget::{CORNER_CELL_PX, CORNER_CELLS, MAX_TRACKS};
 use crate::frame::GrayImage;
 
 /// Tracks wanted in a cell.
 pub(crate) const CORNERS_PER_CELL: usize = 2;
-/// Cells searched in one call at most.
-const SEARCHED_CELLS: usize = 200;
+/// Narrowest cell: a corner is kept away by tracks in the cells beside its own only.
+const MIN_CELL_PX: usize = 16;
 /// Between two tracks.
 const MIN_DISTANCE_PX: f32 = 9.0;
 /// The tracking window with its margin must fit.
 pub(crate) const BORDER_PX: usize = 11;
-/// Half of the tensor's window.
-const HALF_PX: usize = 3;
+const _: () = assert!(BORDER_PX >= MARGIN_PX && MIN_CELL_PX as f32 > MIN_DISTANCE_PX);
 /// Smallest eigenvalue, in squared luma a pixel: sensor noise of 2 leaves about 2. Tuned on KITTI 03.
 const MIN_SCORE: f32 = 16.0;
 /// The same below the horizon, where the road is.
 const MIN_SCORE_ROAD: f32 = 8.0;
+/// Calls for which a cell rests that had too few corners.
+const REST_CALLS: u8 = 0;
 
-/// Width of the buffers: a cell, and what the tensor's window takes around it.
-const STRIDE: usize = CORNER_CELL_PX + 2 * HALF_PX;
+/// A pixel that corners keep away from, and the next one of its cell.
+#[derive(Clone, Copy, Debug)]
+struct Taken {
+    pixel: Vector2<f32>,
+    next: u16,
+}
+
+/// End of a cell's list.
+const NONE: u16 = u16::MAX;
+
+/// A cell of the image.
+#[derive(Clone, Copy, Debug)]
+struct Cell {
+    /// Tracks in it, and the first of its list.
+    tracks: u16,
+    first: u16,
+    /// Calls that it rests for yet.
+    rest: u8,
+}
 
 /// Searches cells for corners.
 #[derive(Clone, Debug)]
@@ -56,12 +73,11 @@ pub(crate) struct CornerFinder {
     rows: usize,
     /// Row from which the road's threshold holds.
     horizon_px: usize,
-    taken: Box<[u8]>,
+    cells: Box<[Cell]>,
+    taken: Vec<Taken>,
     /// Cell at which the next search begins, so that none starves.
     next: usize,
-    /// Products of gradients summed along columns, then scores.
-    products: [Box<[f32]>; 3],
-    score: Box<[f32]>,
+    score: CornerScore,
     found: Vec<Vector2<f32>>,
 }
 
@@ -70,94 +86,78 @@ impl CornerFinder {
     pub(crate) fn new(width: usize, height: usize, horizon_px: usize, wanted: usize) -> Self {
         let cells = (wanted / CORNERS_PER_CELL).clamp(1, CORNER_CELLS);
         let mut cell_px =
-            (((width * height) as f32 / cells as f32).sqrt() as usize).clamp(16, CORNER_CELL_PX);
+            (((width * height) as f32 / cells as f32).sqrt() as usize).clamp(MIN_CELL_PX, CORNER_CELL_PX);
         while cell_px < CORNER_CELL_PX && width.div_ceil(cell_px) * height.div_ceil(cell_px) > CORNER_CELLS {
             cell_px += 1;
         }
         let (columns, rows) = (width.div_ceil(cell_px), height.div_ceil(cell_px));
-        let buffer = || vec![0.0f32; STRIDE * STRIDE].into_boxed_slice();
+        let empty = Cell {
+            tracks: 0,
+            first: NONE,
+            rest: 0,
+        };
         Self {
             cell_px,
             columns,
             rows,
             horizon_px,
-            taken: vec![0; columns * rows].into_boxed_slice(),
+            cells: vec![empty; columns * rows].into_boxed_slice(),
+            taken: Vec::with_capacity(2 * MAX_TRACKS),
             next: 0,
-            products: [buffer(), buffer(), buffer()],
-            score: buffer(),
-            found: Vec::with_capacity(CORNERS_PER_CELL * SEARCHED_CELLS),
+            score: CornerScore::new(),
+            found: Vec::with_capacity(MAX_TRACKS),
         }
     }
 
-    /// Finds at most `room` new corners.
+    /// Finds at most `room` new corners in at most `most_cells` cells.
     pub(crate) fn find(
         &mut self,
         image: &GrayImage,
-        tracked: impl Iterator<Item = Vector2<f32>> + Clone,
+        tracked: impl Iterator<Item = Vector2<f32>>,
         room: usize,
+        most_cells: usize,
     ) -> &[Vector2<f32>] {
         self.found.clear();
-        self.taken.fill(0);
-        for pixel in tracked.clone() {
-            let cell = self.cell_of(&pixel);
-            self.taken[cell] = self.taken[cell].saturating_add(1);
+        self.taken.clear();
+        for cell in &mut self.cells {
+            cell.tracks = 0;
+            cell.first = NONE;
+            cell.rest = cell.rest.saturating_sub(1);
         }
-        let cells = self.columns * self.rows;
+        for pixel in tracked.take(MAX_TRACKS) {
+            self.take(pixel);
+        }
+        let room = room.min(MAX_TRACKS);
+        let cells = self.cells.len();
         let (first, mut searched) = (self.next, 0);
         for step in 0..cells {
-            let cell = (first + step) % cells;
-            let missing = CORNERS_PER_CELL.saturating_sub(usize::from(self.taken[cell]));
-            if missing == 0 {
+            let index = (first + step) % cells;
+            let cell = self.cells[index];
+            let missing = CORNERS_PER_CELL.saturating_sub(usize::from(cell.tracks));
+            if missing == 0 || cell.rest > 0 {
                 continue;
             }
-            if searched == SEARCHED_CELLS || self.found.len() + missing > room {
-                self.next = cell;
+            if searched == most_cells || self.found.len() + missing > room {
+                self.next = index;
                 break;
             }
             searched += 1;
-            self.search_cell(image, cell, missing, tracked.clone());
+            if self.search_cell(image, index, missing) < missing {
+                self.cells[index].rest = REST_CALLS;
+            }
         }
         &self.found
     }
 
-    fn search_cell(
-        &mut self,
-        image: &GrayImage,
-        cell: usize,
-        missing: usize,
-        tracked: impl Iterator<Item = Vector2<f32>>,
-    ) {
-        let Some(area) = self.score_cell(image, cell) else {
-            return;
-        };
-        for pixel in tracked {
-            self.suppress(&area, &pixel);
-        }
-        for i in 0..self.found.len() {
-            let pixel = self.found[i];
-            self.suppress(&area, &pixel);
-        }
-        for _ in 0..missing {
-            let Some(corner) = self.best(&area) else { return };
-            self.suppress(&area, &corner);
-            self.found.push(corner);
-        }
-    }
-
-    fn cell_of(&self, pixel: &Vector2<f32>) -> usize {
-        let column = (pixel.x.max(0.0) as usize / self.cell_px).min(self.columns - 1);
-        let row = (pixel.y.max(0.0) as usize / self.cell_px).min(self.rows - 1);
-        row * self.columns + column
-    }
-
-    /// Scores a cell's pixels away from the border; none where no pixel is left.
-    fn score_cell(&mut self, image: &GrayImage, cell: usize) -> Option<Area> {
-        let left = (cell % self.columns * self.cell_px).max(BORDER_PX);
-        let top = (cell / self.columns * self.cell_px).max(BORDER_PX);
-        let right = ((cell % self.columns + 1) * self.cell_px).min(image.width().saturating_sub(BORDER_PX));
-        let bottom = ((cell / self.columns + 1) * self.cell_px).min(image.height().saturating_sub(BORDER_PX));
+    /// Corners found in a cell.
+    fn search_cell(&mut self, image: &GrayImage, cell: usize, missing: usize) -> usize {
+        let (column, row) = (cell % self.columns, cell / self.columns);
+        let left = (column * self.cell_px).max(BORDER_PX);
+        let top = (row * self.cell_px).max(BORDER_PX);
+        let right = ((column + 1) * self.cell_px).min(image.width().saturating_sub(BORDER_PX));
+        let bottom = ((row + 1) * self.cell_px).min(image.height().saturating_sub(BORDER_PX));
         if right <= left || bottom <= top {
-            return None;
+            return 0;
         }
         let area = Area {
             left,
@@ -165,112 +165,47 @@ impl CornerFinder {
             width: right - left,
             height: bottom - top,
         };
-        self.gradient_products(image, &area);
-        self.eigenvalues(&area);
-        Some(area)
-    }
-
-    fn gradient_products(&mut self, image: &GrayImage, area: &Area) {
-        let width = area.width + 2 * HALF_PX;
-        let [xx, xy, yy] = &mut self.products;
-        for row in 0..area.height + 2 * HALF_PX {
-            let y = area.top + row - HALF_PX;
-            let x = area.left - HALF_PX;
-            let above = &image.row(y - 1)[x..x + width];
-            let below = &image.row(y + 1)[x..x + width];
-            let centre = &image.row(y)[x - 1..x + width + 1];
-            let at = row * STRIDE..row * STRIDE + width;
-            let (xx, xy, yy) = (&mut xx[at.clone()], &mut xy[at.clone()], &mut yy[at]);
-            for i in 0..width {
-                let gx = f32::from(i16::from(centre[i + 2]) - i16::from(centre[i]));
-                let gy = f32::from(i16::from(below[i]) - i16::from(above[i]));
-                xx[i] = gx * gx;
-                xy[i] = gx * gy;
-                yy[i] = gy * gy;
-            }
-        }
-    }
-
-    fn eigenvalues(&mut self, area: &Area) {
-        const SIDE: usize = 2 * HALF_PX + 1;
-        // Central differences span two pixels: a quarter of the squared difference is the squared gradient.
-        const SCALE: f32 = 0.25 / (SIDE * SIDE) as f32;
-        let width = area.width + 2 * HALF_PX;
-        let mut columns = [[0.0f32; STRIDE]; 3];
-        for row in 0..area.height {
-            for (sums, product) in columns.iter_mut().zip(&self.products) {
-                let sums = &mut sums[..width];
-                sums.fill(0.0);
-                for k in 0..SIDE {
-                    let line = &product[(row + k) * STRIDE..(row + k) * STRIDE + width];
-                    for i in 0..width {
-                        sums[i] += line[i];
-                    }
-                }
-            }
-            let score = &mut self.score[row * STRIDE..row * STRIDE + area.width];
-            for i in 0..area.width {
-                let mut sum = [0.0f32; 3];
-                for c in 0..3 {
-                    for k in 0..SIDE {
-                        sum[c] += columns[c][i + k];
-                    }
-                }
-                let [xx, xy, yy] = sum;
-                let spread = ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt();
-                score[i] = 0.5 * SCALE * (xx + yy - spread);
-            }
-        }
-    }
-
-    /// Forbids the surroundings of a pixel.
-    fn suppress(&mut self, area: &Area, pixel: &Vector2<f32>) {
-        let x = pixel.x - area.left as f32;
-        let y = pixel.y - area.top as f32;
-        let reach = MIN_DISTANCE_PX;
-        if !(x > -reach && y > -reach && x < area.width as f32 + reach && y < area.height as f32 + reach) {
-            return;
-        }
-        let span = |centre: f32, size: usize| {
-            let first = (centre - reach).max(0.0).ceil() as usize;
-            let end = ((centre + reach).max(0.0) as usize + 1).min(size);
-            (first.min(size), end)
-        };
-        let (x0, x1) = span(x, area.width);
-        let (y0, y1) = span(y, area.height);
-        for row in y0..y1 {
-            let line = row * STRIDE;
-            self.score[line + x0.min(x1)..line + x1].fill(0.0);
-        }
-    }
-
-    fn best(&self, area: &Area) -> Option<Vector2<f32>> {
-        let mut best = (0.0, 0, 0);
-        for row in 0..area.height {
-            let line = &self.score[row * STRIDE..row * STRIDE + area.width];
-            for (column, score) in line.iter().enumerate() {
-                if *score > best.0 {
-                    best = (*score, column, row);
+        self.score.compute(image, &area);
+        for y in row.saturating_sub(1)..(row + 2).min(self.rows) {
+            for x in column.saturating_sub(1)..(column + 2).min(self.columns) {
+                let mut at = self.cells[y * self.columns + x].first;
+                while let Some(taken) = self.taken.get(usize::from(at)) {
+                    self.score.suppress(&taken.pixel, MIN_DISTANCE_PX);
+                    at = taken.next;
                 }
             }
         }
-        let (score, column, row) = best;
-        let (x, y) = (area.left + column, area.top + row);
-        let needed = if y >= self.horizon_px {
-            MIN_SCORE_ROAD
-        } else {
-            MIN_SCORE
-        };
-        (score >= needed).then(|| Vector2::new(x as f32, y as f32))
+        for found in 0..missing {
+            let (score, x, y) = self.score.best();
+            let needed = if y >= self.horizon_px {
+                MIN_SCORE_ROAD
+            } else {
+                MIN_SCORE
+            };
+            if score < needed {
+                return found;
+            }
+            let corner = Vector2::new(x as f32, y as f32);
+            self.score.suppress(&corner, MIN_DISTANCE_PX);
+            self.found.push(corner);
+            self.take(corner);
+        }
+        missing
     }
-}
 
-/// Pixels of a cell that may become corners.
-struct Area {
-    left: usize,
-    top: usize,
-    width: usize,
-    height: usize,
+    /// Keeps later corners away from a pixel.
+    fn take(&mut self, pixel: Vector2<f32>) {
+        let column = (pixel.x.max(0.0) as usize / self.cell_px).min(self.columns - 1);
+        let row = (pixel.y.max(0.0) as usize / self.cell_px).min(self.rows - 1);
+        let cell = &mut self.cells[row * self.columns + column];
+        let index = self.taken.len() as u16;
+        self.taken.push(Taken {
+            pixel,
+            next: cell.first,
+        });
+        cell.first = index;
+        cell.tracks += 1;
+    }
 }
 
 #[cfg(test)]
@@ -288,7 +223,9 @@ mod tests {
     }
 
     fn found(finder: &mut CornerFinder, image: &GrayImage, tracked: &[Vector2<f32>]) -> Vec<Vector2<f32>> {
-        finder.find(image, tracked.iter().copied(), 500).to_vec()
+        finder
+            .find(image, tracked.iter().copied(), 500, CORNER_CELLS)
+            .to_vec()
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! bucketed, followed by pyramidal Lucas-Kanade from a predicted place, and checked there and back; the pose is solved from
 //! landmarks, epipolar geometry and the wheels together. Without a map it is visual odometry of metric scale.
 
+mod corner_score;
 mod corners;
 mod keypoint;
 mod klt;

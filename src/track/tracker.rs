@@ -582,7 +582,7 @@ impl Tracker {
         let room = self.most_tracks.saturating_sub(self.tracks.len());
         let corners = self
             .finder
-            .find(current.base(), self.tracks.iter().map(|t| t.pixel), room);
+            .find(current.base(), self.tracks.iter().map(|t| t.pixel), room, 200);
         for pixel in corners {
             let Some(ray) = lens.unproject(&pixel.cast()) else {
                 continue;
