@@ -85,7 +85,12 @@ fn pass(config: &PipelineConfig, camera: &mut dyn CameraPort, wheels: &mut dyn W
     pass
 }
 
-fn pipeline(config: &Config, camera: Camera, wheels: Option<WheelConfig>, cadence: Cadence) -> PipelineConfig {
+fn pipeline(
+    config: &Config,
+    camera: Camera,
+    wheels: Option<WheelConfig>,
+    cadence: Cadence,
+) -> PipelineConfig {
     let working = config.working_size(camera.width, camera.height);
     PipelineConfig {
         camera,
@@ -161,7 +166,11 @@ fn kitti() -> Result<(), Error> {
             offset_micros: wheels.offset_micros(),
         };
         let mut readings = CandumpWheels::open(&source.join("wheel.candump"), &decoder, &options)?;
-        passes.push(pass(&setup, &mut ReplayFrames::new(frames, schedule), &mut readings));
+        passes.push(pass(
+            &setup,
+            &mut ReplayFrames::new(frames, schedule),
+            &mut readings,
+        ));
     }
     let truth = trajectory::read(&source.join("poses.txt"))?.poses;
     report("KITTI 03, 1242x375", &passes, &truth);
@@ -171,7 +180,14 @@ fn kitti() -> Result<(), Error> {
 /// The lowest time of each frame over all passes.
 fn lowest(passes: &[Pass], of: impl Fn(&Pass) -> &[u64]) -> Vec<u64> {
     (0..of(&passes[0]).len())
-        .map(|i| passes.iter().filter_map(|p| of(p).get(i)).min().copied().unwrap_or(0))
+        .map(|i| {
+            passes
+                .iter()
+                .filter_map(|p| of(p).get(i))
+                .min()
+                .copied()
+                .unwrap_or(0)
+        })
         .collect()
 }
 

@@ -119,11 +119,7 @@ impl CornerScore {
         let (width, height) = (self.area.width, self.area.height);
         let x = pixel.x - self.area.left as f32;
         let y = pixel.y - self.area.top as f32;
-        if !(x > -reach_px
-            && y > -reach_px
-            && x < width as f32 + reach_px
-            && y < height as f32 + reach_px)
-        {
+        if !(x > -reach_px && y > -reach_px && x < width as f32 + reach_px && y < height as f32 + reach_px) {
             return;
         }
         let span = |centre: f32, size: usize| {

@@ -2,20 +2,23 @@
 
 use std::io::IsTerminal as _;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use freespace::frame::{Camera, Lens};
 use freespace::pipeline::{Cadence, PipelineConfig};
+use freespace::port::{CameraAnswer, CameraPort, FrameBuffer};
+use freespace::space::Micros;
+use freespace::stage::Stage;
 use serde::Serialize;
 
 use super::demo::{SHIPPED, shipped};
-use super::drive;
+use super::drive::{self, Network};
 use super::{DoctorArgs, Failure};
 use crate::config::{Config, ImageSize, Wheels};
-use crate::doctor::{self, Check, Jitter, NetworkTiming, Pipeline, State, System};
+use crate::doctor::{self, Check, Jitter, NetworkTiming, State, System};
 use crate::runtime::memory::MemoryPlan;
-use crate::runtime::rights::{ThreadRole, adopt_new_threads};
-use crate::segmenter::Segmenter;
+use crate::runtime::{Devices, LiveRun, Setup};
 
 /// All that was found.
 #[derive(Serialize)]
@@ -60,13 +63,29 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
     let system = System::default();
     let real_time = config.real_time();
     let pipeline = pipeline_config(path, config);
-    let mut plan = MemoryPlan::new();
-    let (mut network, _) = plan.measure_library("network", || {
-        adopt_new_threads(ThreadRole::Network, &real_time, || drive::open_network(config))
-    });
-    let held = Pipeline::construct(&pipeline, &mut plan);
-    plan.stacks(&real_time, &ThreadRole::ALL[..ThreadRole::Monitor as usize]);
-    let lock = doctor::memory_lock(&real_time, &mut plan);
+    let slices = pipeline.slices;
+    let mut network = drive::open_network(config);
+    let network_check = match &mut network {
+        Ok(network) => {
+            let slice = slices.end(Stage::Segmentation, Micros(0), Micros(0)).0;
+            doctor::network(&mut *network.segmenter, config.network.tiles, slice, &real_time)
+                .map_err(no_thread)?
+        }
+        Err(failure) => {
+            let fix = "give a manifest whose model is there, in [network]; run scripts/fetch-onnxruntime.sh";
+            (Check::fails("network", failure.to_string(), fix), None)
+        }
+    };
+    // What a run holds but for its devices; without a network there is no run.
+    let held = network
+        .ok()
+        .map(|network| LiveRun::prepare(setup(pipeline, network, config), &Arc::default()))
+        .transpose()
+        .map_err(|error| Failure::unmet(error.to_string()))?;
+    let mut held = held;
+    let mut nothing = MemoryPlan::new();
+    let plan = held.as_mut().map_or(&mut nothing, LiveRun::plan);
+    let lock = doctor::memory_lock(&real_time, plan);
     let is_locked = lock.state == State::Ok;
     let mut checks = vec![
         doctor::kernel(&system),
@@ -78,17 +97,7 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
         doctor::huge_pages(&system),
         doctor::swap(&system, is_locked),
     ];
-    let (network, timing) = match &mut network {
-        Ok(network) => {
-            let network: &mut dyn Segmenter = &mut **network;
-            let slice = pipeline.slices.segmentation_micros;
-            doctor::network(network, config.network.tiles, slice, &real_time).map_err(no_thread)?
-        }
-        Err(failure) => {
-            let fix = "give a manifest whose model is there, in [network]; run scripts/fetch-onnxruntime.sh";
-            (Check::fails("network", failure.to_string(), fix), None)
-        }
-    };
+    let (network, timing) = network_check;
     checks.push(network);
     checks.push(doctor::camera(&system));
     checks.push(doctor::can(&system, doctor::bitrate_by_ip));
@@ -105,17 +114,42 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
     checks.extend(
         jitter
             .as_ref()
-            .map(|jitter| jitter.check(pipeline.slices.guard_micros)),
+            .map(|jitter| jitter.check(slices.deadline_micros - slices.send_by_micros)),
     );
-    drop(held);
     Ok(Findings {
         config: path.display().to_string(),
         checks,
         total_bytes: plan.total_bytes(),
-        memory_plan: plan,
+        memory_plan: plan.clone(),
         network: timing,
         jitter,
     })
+}
+
+/// A run without devices.
+fn setup(config: PipelineConfig, network: Network, of: &Config) -> Setup {
+    Setup {
+        config,
+        devices: Devices {
+            camera: Box::new(NoCamera),
+            wheels: None,
+            segmenter: network.segmenter,
+            tiles: drive::tiles(of),
+            sinks: Vec::new(),
+        },
+        real_time: network.real_time,
+        plan: network.plan,
+        lacks: network.lacks,
+    }
+}
+
+/// Stands where a camera would be.
+struct NoCamera;
+
+impl CameraPort for NoCamera {
+    fn next_frame(&mut self, _buffer: &mut FrameBuffer) -> CameraAnswer {
+        CameraAnswer::End
+    }
 }
 
 /// The pipeline of a configuration; where its lens stands in a recording's folder, any lens needs the same memory.

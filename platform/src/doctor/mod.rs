@@ -8,7 +8,7 @@
 mod devices;
 mod jitter;
 mod kernel;
-mod pipeline;
+mod network;
 mod processor;
 mod rights;
 mod system;
@@ -16,7 +16,7 @@ mod system;
 pub use devices::{bitrate_by_ip, camera, can, shared_memory};
 pub use jitter::{Jitter, JitterError, PERIOD_MICROS, measure_jitter};
 pub use kernel::{huge_pages, kernel, swap, throttling};
-pub use pipeline::{NetworkTiming, Pipeline, network};
+pub use network::{NetworkTiming, network};
 pub use processor::{governor, interrupts};
 pub use rights::{memory_lock, priorities};
 pub use system::System;

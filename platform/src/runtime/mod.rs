@@ -12,7 +12,7 @@ pub mod rights;
 pub mod supervision;
 mod trace;
 
-pub use live::run_live;
+pub use live::{LiveRun, run_live};
 pub use lockstep::{FaultKind, FaultModel, Injection, Victim, run_in_lockstep, run_modelled};
 pub use network::{InlineNetwork, ThreadedNetwork};
 pub use trace::{Event, Trace};

@@ -30,6 +30,7 @@ use freespace::stage::Progress;
 
 use super::allocation::allocations;
 use super::handover::{Bell, Mailbox};
+use super::memory::MemoryPlan;
 use super::restart::Restarts;
 use super::rights::{self, Lack, RealTimeConfig, ThreadRole, lock_memory, thread_builder};
 use super::{Observer, RunError, RunSummary, Setup, Start};
@@ -76,7 +77,81 @@ impl Counters {
     }
 }
 
-/// Runs until the camera ends or `stop` is set; the first frame sets the clock.
+/// A live run, all of it made, whose threads have not started.
+pub struct LiveRun {
+    threads: Threads,
+    shared: Arc<Shared>,
+    real_time: RealTimeConfig,
+    plan: MemoryPlan,
+    lacks: Vec<Lack>,
+}
+
+impl LiveRun {
+    /// Makes everything that a run needs, and asks for its rights.
+    ///
+    /// # Errors
+    /// A thread could not be started.
+    pub fn prepare(setup: Setup, stop: &Arc<AtomicBool>) -> Result<Self, RunError> {
+        let shared = Arc::new(Shared::default());
+        let mut setup = setup;
+        let mut plan = std::mem::take(&mut setup.plan);
+        let mut lacks = std::mem::take(&mut setup.lacks);
+        let real_time = setup.real_time;
+        lacks.extend(rehearse(&real_time)?);
+        let standing = Faults::NONE.with(Faults::RIGHTS_LACKING, !lacks.is_empty());
+        let threads = Threads::build(setup, standing, stop, &shared, &mut plan)?;
+        plan.stacks(&real_time, &ThreadRole::REAL_TIME);
+        Ok(Self {
+            threads,
+            shared,
+            real_time,
+            plan,
+            lacks,
+        })
+    }
+
+    /// The memory it holds, complete once the memory is locked, or locking was tried.
+    pub const fn plan(&mut self) -> &mut MemoryPlan {
+        &mut self.plan
+    }
+
+    /// Runs until the camera ends or `stop` is set; the first frame sets the clock.
+    ///
+    /// # Errors
+    /// A thread could not be started, hung, or panicked too often.
+    pub fn run(self, observer: &mut dyn Observer) -> Result<RunSummary, RunError> {
+        let Self {
+            threads,
+            shared,
+            real_time,
+            mut plan,
+            mut lacks,
+        } = self;
+        if real_time.lock_memory
+            && let Err(lack) = lock_memory()
+        {
+            lacks.push(lack);
+        }
+        plan.complete();
+        observer.started(&Start {
+            plan: &plan,
+            lacks: &lacks,
+        });
+        let allocations_before = allocations();
+        let (handles, watching) = threads.start()?;
+        watching.run(observer)?;
+        for handle in handles {
+            // Every step is guarded: a thread that panics all the same does so outside its work, at its very end.
+            let _ = handle.join();
+        }
+        if shared.restarts.is_spent() {
+            return Err(RunError::PanickedTooOften);
+        }
+        Ok(shared.summary(allocations() - allocations_before))
+    }
+}
+
+/// Prepares a run and runs it.
 ///
 /// # Errors
 /// A thread could not be started, hung, or panicked too often.
@@ -85,36 +160,7 @@ pub fn run_live(
     stop: &Arc<AtomicBool>,
     observer: &mut dyn Observer,
 ) -> Result<RunSummary, RunError> {
-    let shared = Arc::new(Shared::default());
-    let mut setup = setup;
-    let mut plan = std::mem::take(&mut setup.plan);
-    let mut lacks = std::mem::take(&mut setup.lacks);
-    let real_time = setup.real_time;
-    lacks.extend(rehearse(&real_time)?);
-    let standing = Faults::NONE.with(Faults::RIGHTS_LACKING, !lacks.is_empty());
-    let threads = Threads::build(setup, standing, stop, &shared, &mut plan)?;
-    plan.stacks(&real_time, &ThreadRole::REAL_TIME);
-    if real_time.lock_memory
-        && let Err(lack) = lock_memory()
-    {
-        lacks.push(lack);
-    }
-    plan.complete();
-    observer.started(&Start {
-        plan: &plan,
-        lacks: &lacks,
-    });
-    let allocations_before = allocations();
-    let (handles, watching) = threads.start()?;
-    watching.run(observer)?;
-    for handle in handles {
-        // Every step is guarded: a thread that panics all the same does so outside its work, at its very end.
-        let _ = handle.join();
-    }
-    if shared.restarts.is_spent() {
-        return Err(RunError::PanickedTooOften);
-    }
-    Ok(shared.summary(allocations() - allocations_before))
+    LiveRun::prepare(setup, stop)?.run(observer)
 }
 
 /// Asks for the rights of each real-time thread on a thread that does nothing else: what is refused.

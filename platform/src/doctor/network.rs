@@ -1,62 +1,11 @@
-//! The pipeline that a configuration describes: constructed as a run does it, for its memory, and its network timed.
+//! The network, timed as a run would run it.
 
 use std::io;
 use std::time::Instant;
 
-use freespace::grid::GridStage;
-use freespace::pipeline::{
-    EmitTask, FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace, PipelineConfig,
-};
-
 use super::Check;
-use crate::runtime::memory::MemoryPlan;
 use crate::runtime::rights::{RealTimeConfig, ThreadRole, enter, thread_builder};
 use crate::segmenter::Segmenter;
-
-/// Frames between camera and frame task: one being worked on, one waiting, one being filled.
-const FRAME_BUFFERS: usize = 3;
-
-/// Boxes of each kind that circulate between the threads.
-const CIRCULATING: usize = 6;
-
-/// All that a live run holds but its devices and its network; it is held, never run.
-pub struct Pipeline {
-    _held: [Box<dyn std::any::Any>; 7],
-}
-
-impl Pipeline {
-    /// Constructs it, each component a row of the plan.
-    pub fn construct(config: &PipelineConfig, plan: &mut MemoryPlan) -> Self {
-        let camera = config.camera;
-        let (width, height) = config.working_size;
-        let circulating = 0..CIRCULATING;
-        let held: [Box<dyn std::any::Any>; 7] = [
-            Box::new(plan.measure("frames of the camera", || {
-                [(); FRAME_BUFFERS].map(|()| vec![0_u8; camera.width * camera.height * 3])
-            })),
-            Box::new(plan.measure("frame task", || FrameTask::new(config))),
-            Box::new(plan.measure("key-frame task", || KeyFrameTask::new(config, Pace::Real))),
-            Box::new(plan.measure("jobs of key frames", || -> Vec<Box<KeyFrameJob>> {
-                circulating
-                    .clone()
-                    .map(|_| KeyFrameJob::new(camera.width, camera.height))
-                    .collect()
-            })),
-            Box::new(
-                plan.measure("answers of key frames", || -> Vec<Box<KeyFrameOutput>> {
-                    circulating.map(|_| KeyFrameOutput::new(config)).collect()
-                }),
-            ),
-            Box::new(plan.measure("lessons of the map", || [Lesson::new(), Lesson::new()])),
-            Box::new(plan.measure("publisher", || {
-                let carrier = GridStage::new(&camera, config.grid, width, height);
-                let emit = EmitTask::new(&camera, &config.slices);
-                (carrier, emit, KeyFrameOutput::new(config))
-            })),
-        ];
-        Self { _held: held }
-    }
-}
 
 /// How long the network takes for a key frame.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
