@@ -261,6 +261,29 @@ fn frames_take_no_memory() {
 }
 
 #[test]
+fn a_run_that_lost_its_way_is_recorded_all_the_same() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    let mut recording = Recording::create(&dir, RunTitle::default()).unwrap();
+    let mut grown = pose(1.0);
+    grown.rotation = UnitQuaternion::new_unchecked(grown.rotation.into_inner() * 1.5);
+    let frame = |index: usize, world_from_camera: Pose| FrameRecord {
+        index,
+        stamp: Micros(index as u64),
+        world_from_camera,
+    };
+    recording.frame(&frame(0, pose(0.0))).unwrap();
+    recording.frame(&frame(1, grown)).unwrap();
+    assert_eq!(recording.poses().unwrap().len(), 2);
+    recording.frame(&frame(2, pose(f64::NAN))).unwrap();
+    assert_eq!(recording.poses().unwrap().len(), 0);
+    recording
+        .finish(&RunCounts::default(), &DriveStatistics::new(), None)
+        .unwrap();
+    assert!(dir.join("index.html").exists());
+}
+
+#[test]
 fn a_sequence_that_begins_late_still_lines_up() {
     let parent = tempfile::tempdir().unwrap();
     let mut recording = Recording::create(&parent.path().join("run"), RunTitle::default()).unwrap();
