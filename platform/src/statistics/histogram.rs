@@ -11,7 +11,7 @@ use serde::Serialize;
 
 /// The first bin's upper end.
 const SHORTEST_MICROS: u64 = 1;
-/// What the last bin ends at: two minutes' silence is no latency any more.
+/// What the last bin ends at: a minute is no latency any more.
 const LONGEST_MICROS: u64 = 60_000_000;
 /// Significant decimal digits.
 const DIGITS: u8 = 3;
@@ -44,7 +44,7 @@ impl Default for LatencyHistogram {
 }
 
 impl LatencyHistogram {
-    /// Heap memory of one: seventeen halves of 2,048 bins, as three digits over this range ask for.
+    /// Heap memory of one: 1,024 bins for each doubling of the range, and 1,024 more, as three digits ask for.
     pub const BYTES: usize = 17 * 1024 * size_of::<u32>();
 
     /// An empty histogram, all of its memory resident.

@@ -172,8 +172,11 @@ impl Recording {
     /// # Errors
     /// Where a file cannot be written.
     pub fn frame(&mut self, frame: &FrameRecord) -> Result<(), RecordingError> {
-        self.kitti.frame(frame)?;
-        self.tum.frame(frame)
+        let mut frame = *frame;
+        // Rounding adds up over the products of a long drive; what reads the files wants rotations.
+        frame.world_from_camera.rotation.renormalize();
+        self.kitti.frame(&frame)?;
+        self.tum.frame(&frame)
     }
 
     /// Writes a frame's true pose to `truth/poses.txt`, as `eval trajectory` reads it.
@@ -283,10 +286,11 @@ impl Recording {
         self.folder.partial("masks")
     }
 
-    /// Poses written so far, relative to the first, by their place in the sequence: those of `trajectory.kitti`.
+    /// Poses written so far, relative to the first, by their place in the sequence: those of `trajectory.kitti`. None where one
+    /// of them is not finite.
     ///
     /// # Errors
-    /// Where the file cannot be written or read.
+    /// Where the file cannot be written.
     pub fn poses(&mut self) -> Result<Vec<Pose>, RecordingError> {
         read_back(&self.folder, "trajectory.kitti", Some(&mut self.kitti))
     }
@@ -294,7 +298,7 @@ impl Recording {
     /// The same of the true poses; none where there are none.
     ///
     /// # Errors
-    /// Where the file cannot be written or read.
+    /// Where the file cannot be written.
     pub fn true_poses(&mut self) -> Result<Vec<Pose>, RecordingError> {
         read_back(&self.folder, "truth/poses.txt", self.truth.as_mut())
     }
@@ -334,7 +338,8 @@ impl Recording {
     }
 }
 
-/// The poses of a file that is still being written.
+/// The poses of a file that is still being written; none where one of them is no pose, for a run that lost its way is recorded
+/// all the same.
 fn read_back(
     folder: &OutputFolder,
     name: &str,
@@ -344,7 +349,8 @@ fn read_back(
         return Ok(Vec::new());
     };
     file.finish()?;
-    Ok(eval::trajectory::read(&folder.partial(name))?.poses)
+    let read = eval::trajectory::read(&folder.partial(name));
+    Ok(read.map(|file| file.poses).unwrap_or_default())
 }
 
 /// Pretty JSON with a line feed at its end; the types here always have one.
