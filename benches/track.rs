@@ -68,7 +68,13 @@ fn pass(config: &PipelineConfig, camera: &mut dyn CameraPort, wheels: &mut dyn W
     while camera.next_frame(&mut buffer) == freespace::port::CameraAnswer::Frame {
         let until = buffer.stamp.plus(LOOKAHEAD_MICROS);
         wheels.readings_until(until, &mut |reading| frame_task.wheel(reading));
-        let stepped = frame_task.step(&buffer.raw(), buffer.key_frame_wanted, &mut job, &ThreadClock);
+        let stepped = frame_task.step(
+            &buffer.raw(),
+            buffer.key_frame_wanted,
+            &mut job,
+            &ThreadClock,
+            &(),
+        );
         let Ok(outcome) = stepped else { continue };
         pass.poses.push(outcome.estimate.world_from_camera);
         pass.stamps.push(buffer.stamp);
@@ -76,7 +82,8 @@ fn pass(config: &PipelineConfig, camera: &mut dyn CameraPort, wheels: &mut dyn W
         pass.frame_micros.push(job.times.of(Stage::Frame));
         pass.track_micros.push(job.times.of(Stage::Track));
         if outcome.is_key_frame {
-            key_frame_task.step(&job, &mut NoNetwork, &ThreadClock, &mut output, &mut lesson);
+            // Too late for a grid it never is here: the pace is reproducible.
+            let _ = key_frame_task.step(&job, &mut NoNetwork, &ThreadClock, &(), &mut output, &mut lesson);
             pass.map_micros.push(output.times.of(Stage::Map));
             frame_task.learn(&lesson);
             FrameTask::recycle(&mut job);

@@ -83,7 +83,8 @@ impl Blame {
         match blame {
             None => 0,
             Some(Self::Stage(stage)) => stage as u8 + 1,
-            Some(Self::Camera) => Stage::ALL.len() as u8 + 1,
+            // One after the last stage.
+            Some(Self::Camera) => Stage::Emit as u8 + 2,
         }
     }
 
@@ -330,7 +331,7 @@ mod tests {
         for blame in Blame::ALL.map(Some).into_iter().chain([None]) {
             assert_eq!(Blame::from_wire(Blame::to_wire(blame)), Some(blame));
         }
-        assert_eq!(Blame::from_wire(Stage::ALL.len() as u8 + 2), None);
+        assert_eq!(Blame::from_wire(Stage::Emit as u8 + 3), None);
     }
 
     #[test]

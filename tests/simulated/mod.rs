@@ -22,7 +22,7 @@ use freespace_platform::wheels::SimEncoders;
 use freespace_platform::world::{Drive, Encoders, Sensor, Textures, World, WorldConfig};
 
 /// Stands in for the network: a fixed belief that the road is a triangle below the horizon; it fails when told to.
-pub struct Triangle {
+pub(crate) struct Triangle {
     shape: NetworkShape,
     runs: u32,
     failing: std::ops::Range<u32>,
@@ -30,7 +30,7 @@ pub struct Triangle {
 
 impl Triangle {
     /// Fails in these of its runs.
-    pub fn new(failing: std::ops::Range<u32>) -> Self {
+    pub(crate) fn new(failing: std::ops::Range<u32>) -> Self {
         let shape = NetworkShape {
             width: 80,
             height: 60,
@@ -80,7 +80,7 @@ impl Segmenter for Triangle {
 }
 
 /// Camera and wheels of a drive of `seconds`.
-pub fn devices(seconds: f64) -> (Camera, Box<dyn CameraPort + Send>, Box<dyn WheelPort + Send>) {
+pub(crate) fn devices(seconds: f64) -> (Camera, Box<dyn CameraPort + Send>, Box<dyn WheelPort + Send>) {
     let mount = Mount {
         height_m: 1.4,
         ahead_m: 1.6,
@@ -115,7 +115,7 @@ pub fn devices(seconds: f64) -> (Camera, Box<dyn CameraPort + Send>, Box<dyn Whe
 }
 
 /// The pipeline of such a camera: a key frame each half second.
-pub fn setup(
+pub(crate) fn setup(
     camera: Camera,
     frames: Box<dyn CameraPort + Send>,
     wheels: Option<Box<dyn WheelPort + Send>>,

@@ -16,6 +16,7 @@ fn publication(level: QualityLevel, latency_micros: u64) -> Publication {
         times,
         latency_micros,
         is_miss: level == QualityLevel::Moved,
+        blame: None,
     }
 }
 
@@ -52,14 +53,24 @@ fn counts_are_by_name() {
 }
 
 #[test]
-fn a_miss_is_unknown_until_it_is_blamed() {
+fn a_miss_counts_for_whoever_is_blamed() {
     let mut statistics = drive();
     assert_eq!(statistics.misses_by_stage().0, [("unknown", 1)]);
-    statistics.miss(Blame::Stage(Stage::Crf));
-    assert_eq!(statistics.misses_by_stage().0, [("crf", 1)]);
-    statistics.publication(&publication(QualityLevel::Moved, 480_000));
-    statistics.miss(Blame::Camera);
-    assert_eq!(statistics.misses_by_stage().0, [("camera", 1), ("crf", 1)]);
+    for blame in [Blame::Stage(Stage::Crf), Blame::Camera] {
+        statistics.publication(&Publication {
+            blame: Some(blame),
+            ..publication(QualityLevel::Moved, 480_000)
+        });
+    }
+    // Less than full, but no miss.
+    statistics.publication(&Publication {
+        blame: Some(Blame::Stage(Stage::Map)),
+        ..publication(QualityLevel::NoRefinement, 80_000)
+    });
+    assert_eq!(
+        statistics.misses_by_stage().0,
+        [("crf", 1), ("camera", 1), ("unknown", 1)]
+    );
 }
 
 #[test]
@@ -70,7 +81,6 @@ fn recording_takes_no_memory() {
         statistics.frame(TrackingState::Good);
         statistics.frame_micros(micros);
         statistics.publication(&publication(QualityLevel::Full, micros));
-        statistics.miss(Blame::Camera);
     }
     assert_eq!(scope.allocations(), 0);
 }

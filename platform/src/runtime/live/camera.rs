@@ -22,6 +22,7 @@ pub(super) struct CameraThread {
     /// Buffers that come back from the frame task.
     pub(super) returned: Consumer<Box<FrameBuffer>>,
     /// Buffers at hand.
+    #[expect(clippy::vec_box, reason = "the boxes go on to other threads")]
     pub(super) buffers: Vec<Box<FrameBuffer>>,
     pub(super) teller: Teller,
 }

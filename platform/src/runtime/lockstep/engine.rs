@@ -44,6 +44,7 @@ pub(super) struct Engine<'a, N, T> {
     waiting_job: Option<(Micros, Box<KeyFrameJob>)>,
     agenda: Agenda,
     job: Box<KeyFrameJob>,
+    #[expect(clippy::vec_box, reason = "boxes circulate, as between threads")]
     buffers: Vec<Box<FrameBuffer>>,
     jobs: Vec<Box<KeyFrameJob>>,
     outputs: Vec<Box<KeyFrameOutput>>,

@@ -265,7 +265,7 @@ impl CameraPort for ModelledCamera {
             }
             match self.model.fault(Victim::Camera, buffer.stamp) {
                 None => return CameraAnswer::Frame,
-                Some(FaultKind::Slow) if buffer.index % SLOWER == 0 => return CameraAnswer::Frame,
+                Some(FaultKind::Slow) if buffer.index.is_multiple_of(SLOWER) => return CameraAnswer::Frame,
                 Some(FaultKind::Fail | FaultKind::Panic) => return CameraAnswer::Lost,
                 Some(FaultKind::Slow | FaultKind::Hang) => {}
             }

@@ -73,6 +73,7 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
             times,
             latency_micros,
             is_miss: !deadline_met,
+            blame: None,
         });
         recording.key_frame(&KeyFrameRecord {
             can_frames: &[],
@@ -103,6 +104,8 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
         dropped_frames: 1,
         allocations_after_start: Some(0),
         peak_rss_mb: None,
+        memory: None,
+        restarts: 0,
     };
     recording.finish(&counts, &statistics, None)
 }
@@ -375,6 +378,7 @@ fn the_latency_picture_has_its_parts_even_where_nothing_was_published() {
             times: StageTimes([latency_micros; 8]),
             latency_micros,
             is_miss: false,
+            blame: None,
         });
     }
     let (width, height) = latency::draw(&statistics, 0.0, &mut pixels);
