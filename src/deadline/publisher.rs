@@ -337,7 +337,7 @@ mod tests {
         );
         publisher.announce(announcement(9_999, 5_000_000_000));
         assert_eq!(stamps_until(&mut publisher, 5_000_000_000).len(), 9);
-        assert_eq!(publisher.unanswered(), 9_999 - 4 - 8);
+        assert_eq!(publisher.unanswered(), 10_000 - 4 - 8);
     }
 
     #[test]

@@ -116,6 +116,7 @@ struct TaskState {
     began: Cell<Micros>,
     stage: Cell<Option<Stage>>,
     hangs: Cell<bool>,
+    has_panicked: Cell<bool>,
 }
 
 impl Modelled {
@@ -126,6 +127,7 @@ impl Modelled {
             began: Cell::default(),
             stage: Cell::default(),
             hangs: Cell::default(),
+            has_panicked: Cell::default(),
         }))
     }
 
@@ -164,6 +166,8 @@ impl StageProbe for Modelled {
                 self.spend(FOR_EVER_MICROS);
                 true
             }
+            // The publisher's own panics are its supervisor's when they go on: it is hit once.
+            Some(FaultKind::Panic) if stage == Stage::Emit && self.0.has_panicked.replace(true) => true,
             // Without the message that a panic prints.
             Some(FaultKind::Panic) => std::panic::resume_unwind(Box::new("injected")),
         }
