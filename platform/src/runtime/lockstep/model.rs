@@ -153,6 +153,10 @@ impl Clock for Modelled {
 
 impl StageProbe for Modelled {
     fn enter(&self, stage: Stage) -> bool {
+        // What hangs never gets any further.
+        if self.0.hangs.get() {
+            return false;
+        }
         self.0.stage.set(Some(stage));
         // A fault holds for a whole key frame or frame: that at whose beginning it was there.
         let (victim, began) = (Victim::Stage(stage), self.0.began.get());
