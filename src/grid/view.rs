@@ -59,6 +59,8 @@ pub(super) struct CellView {
     /// First place in `order` of each bearing; one more at the end.
     first: Box<[u32]>,
     pixel: Box<[u32]>,
+    /// Pixel of the point that a vehicle's lower edge would have over each cell.
+    bumper: Box<[u32]>,
     pub(super) evidence: Box<[f32]>,
     pub(super) sight: Box<[Sight]>,
 }
@@ -98,6 +100,7 @@ impl CellView {
             order: keyed.iter().map(|k| k.2).collect(),
             first,
             pixel: vec![NO_PIXEL; cells].into_boxed_slice(),
+            bumper: vec![NO_PIXEL; cells].into_boxed_slice(),
             evidence: vec![0.0; cells].into_boxed_slice(),
             sight: vec![Sight::Outside; cells].into_boxed_slice(),
         }
@@ -140,6 +143,8 @@ impl CellView {
                 // Beside the car others move: only what it drives over itself counts as covered.
                 let beside = pixel == COVERED_PIXEL && y.abs() > COVERED_HALF_M;
                 self.pixel[row * grid.columns + column] = if beside { NO_PIXEL } else { pixel };
+                let over = point.coords + ground.up * f64::from(self.config.clearance_m);
+                self.bumper[row * grid.columns + column] = self.pixel_of(&over);
             }
         }
     }
@@ -178,8 +183,6 @@ impl CellView {
         // Range of the nearest edge of what is not road now; none while on road.
         let mut edge_m: Option<f32> = None;
         let mut box_foot_m: Option<f32> = None;
-        // Range of the last vehicle's lower edge on the plane.
-        let mut bumper_m: Option<f32> = None;
         for place in self.first[bearing] as usize..self.first[bearing + 1] as usize {
             let cell = self.order[place] as usize;
             let pixel = self.pixel[cell];
@@ -203,15 +206,16 @@ impl CellView {
             let certainty = |p: f32| (2.0 * p - 1.0).max(0.5) * near;
             // The label weighed the box already: a box is wider than what stands in it.
             if labels[pixel] == 1 {
-                (edge_m, box_foot_m, bumper_m) = (None, None, None);
+                (edge_m, box_foot_m) = (None, None);
+                let bumper = self.bumper[cell];
+                if bumper < COVERED_PIXEL && vehicle[bumper as usize] > 0.5 {
+                    // One sees under a bumper onto the road that the car stands on.
+                    self.sight[cell] = Sight::Hidden;
+                    continue;
+                }
                 self.sight[cell] = Sight::Seen(Reason::Plane);
                 self.evidence[cell] = -self.config.free_evidence * certainty(p);
                 continue;
-            }
-            if vehicle[pixel] > 0.5 && bumper_m.is_none() {
-                bumper_m = Some(range_m);
-                let foot_m = range_m * (1.0 - self.config.clearance_m / height_m).max(0.0);
-                self.close_under(bearing, place, foot_m, grid);
             }
             if surface[pixel] == Surface::Box as u8 {
                 // The ray ends at the box: the first such cell is its foot, give or take a cell's diagonal.
@@ -235,23 +239,6 @@ impl CellView {
                 self.evidence[cell] = self.config.occupied_evidence * certainty(1.0 - p);
             } else {
                 self.sight[cell] = Sight::Hidden;
-            }
-        }
-    }
-
-    /// Takes back what was called free between a vehicle's foot and the place where its bumper meets the plane in the picture:
-    /// one sees under a bumper onto the road that the car stands on.
-    fn close_under(&mut self, bearing: usize, end: usize, foot_m: f32, grid: &Grid) {
-        for place in (self.first[bearing] as usize..end).rev() {
-            let cell = self.order[place] as usize;
-            let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
-            let range_m = (x - self.mount_ahead_m as f32).hypot(y - self.mount_left_m as f32);
-            if range_m < foot_m {
-                break;
-            }
-            if self.sight[cell] == Sight::Seen(Reason::Plane) {
-                self.sight[cell] = Sight::Hidden;
-                self.evidence[cell] = 0.0;
             }
         }
     }

@@ -60,6 +60,8 @@ pub struct PlaneConfig {
     pub pitch_sigma_rad: f64,
     /// How much the car rolls.
     pub roll_sigma_rad: f64,
+    /// How well the plane is parallel to the camera's path since the last key frame: nodding, bends of the road, drift.
+    pub travel_sigma_rad: f64,
     /// Landmarks nearer than this do not vote.
     pub nearest_m: f64,
     /// Landmarks farther than this do not vote.
@@ -72,6 +74,8 @@ pub struct PlaneConfig {
     pub min_inliers: u32,
     /// Independent landmarks the support is worth at most; map errors are common to neighbours.
     pub effective_inliers: f64,
+    /// Common error of the landmarks' depths, a share of the depth for each metre of it: of a short base, all depths err alike.
+    pub depth_bias_per_m: f64,
 }
 
 impl Default for PlaneConfig {
@@ -82,12 +86,14 @@ impl Default for PlaneConfig {
             distance_sigma_m: 0.05,
             pitch_sigma_rad: 0.015,
             roll_sigma_rad: 0.01,
+            travel_sigma_rad: 0.004,
             nearest_m: 3.0,
             farthest_m: 30.0,
             corridor_half_m: 1.5,
             corridor_fade_m: 1.2,
             min_inliers: 8,
-            effective_inliers: 40.0,
+            effective_inliers: 10.0,
+            depth_bias_per_m: 0.005,
         }
     }
 }
@@ -220,12 +226,16 @@ fn weigh(
         // An error along the ray moves the point down by the sine of the ray's descent.
         let along_m = f64::from(support.depth_sigma_m) * expected.offset_m / range_m;
         let across_m = BEARING_SIGMA_RAD * range_m;
+        let common_m = config.depth_bias_per_m * range_m * expected.offset_m;
         scratch.weighted[count] = Weighted {
             x: support.point.x,
             y: support.point.y,
             z: support.point.z,
             weight: (-0.5 * outside * outside).exp().max(0.05),
-            height_variance: along_m * along_m + across_m * across_m + ROAD_SIGMA_M * ROAD_SIGMA_M,
+            height_variance: along_m * along_m
+                + common_m * common_m
+                + across_m * across_m
+                + ROAD_SIGMA_M * ROAD_SIGMA_M,
         };
         count += 1;
     }

@@ -59,6 +59,9 @@ impl Default for PriorsConfig {
     }
 }
 
+/// How much the camera bobs on the springs while it travels.
+const TRAVEL_SHAKE_M: f64 = 0.01;
+
 /// Seen-from-here buffers of one set of priors, `[H, W]`.
 #[derive(Clone, Debug)]
 struct View {
@@ -323,6 +326,12 @@ impl PriorsStage {
         let driven_m = past_from_now.translation.vector.norm();
         // Standing still keeps the last curvature; a car turns no tighter than 5 m.
         if driven_m > 0.5 {
+            let travelled = past_from_now
+                .rotation
+                .inverse_transform_vector(&past_from_now.translation.vector);
+            let shake_rad = TRAVEL_SHAKE_M / driven_m;
+            let sigma_rad = self.config.plane.travel_sigma_rad.hypot(shake_rad);
+            self.filter.travel(&travelled, sigma_rad);
             let measured = (yaw_rad / driven_m).clamp(-0.2, 0.2);
             self.curvature_per_m = 0.5 * (self.curvature_per_m + measured);
         }

@@ -20,7 +20,7 @@ pub struct InputFiller {
     image_height: usize,
     tiles: Tiles,
     columns: heapless::Vec<Box<[Taps]>, { crate::budget::MAX_TILES }>,
-    rows: Box<[Taps]>,
+    rows: heapless::Vec<Box<[Taps]>, { crate::budget::MAX_TILES }>,
     /// One image row, rows already summed, `[image_width, 3] f32`.
     line: Box<[f32]>,
 }
@@ -30,10 +30,14 @@ impl InputFiller {
     #[must_use]
     pub fn new(shape: &NetworkShape, image_width: usize, image_height: usize, config: &TileConfig) -> Self {
         let tiles = tile(image_width, image_height, config);
-        let width = image_width as f32;
+        let (width, height) = (image_width as f32, image_height as f32);
         let columns = tiles
             .iter()
             .map(|t| taps(t.left * width, t.width * width, image_width, shape.width))
+            .collect();
+        let rows = tiles
+            .iter()
+            .map(|t| taps(t.top * height, t.height * height, image_height, shape.height))
             .collect();
         Self {
             shape: shape.clone(),
@@ -41,7 +45,7 @@ impl InputFiller {
             image_height,
             tiles,
             columns,
-            rows: taps(0.0, image_height as f32, image_height, shape.height),
+            rows,
             line: vec![0.0; image_width * 3].into_boxed_slice(),
         }
     }
@@ -115,7 +119,7 @@ impl InputFiller {
             ChannelOrder::Bgr => [values[2], values[1], values[0]],
         };
         let (mean, scale) = (of(mean), of(scale));
-        for (y, row_taps) in self.rows.iter().enumerate() {
+        for (y, row_taps) in self.rows[index].iter().enumerate() {
             self.line.fill(0.0);
             for (source_y, weight) in row_taps.iter() {
                 add_row(source_y, weight, &mut self.line);

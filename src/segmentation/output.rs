@@ -1,7 +1,7 @@
 //! What comes out of the network: the softmax of each tile, resampled to the CRF resolution.
 //!
 //! In: `[classes, out_height, out_width] f32` a tile. Out: [`RoadProbability`]: the road classes summed, the largest of
-//! the others, tiles blended linearly where they overlap. Invariant: both outputs lie in 0..1; NaN counts as undecided.
+//! the others, tiles blended linearly where they overlap, the far tile over the others. Invariant: both outputs lie in 0..1; NaN counts as undecided.
 //! Cost: one pass over the softmax a tile, then two taps an axis and output pixel.
 #![allow(clippy::cast_precision_loss, reason = "image sizes are far below 2^24")]
 
@@ -11,20 +11,47 @@ use alloc::vec;
 use super::resample::{Taps, taps};
 use super::{NetworkShape, RoadProbability, Tiles};
 
-/// Where a tile falls on the output: its columns, their taps and their weights.
+/// Where a tile falls on the output along one axis: pixels, their taps and their weights.
 #[derive(Clone, Debug)]
-struct TileColumns {
+struct Span {
     first: usize,
     taps: Box<[Taps]>,
     weight: Box<[f32]>,
+}
+
+impl Span {
+    /// Of a tile from `start` over `length` of an axis of `out` pixels, which the network sees as `source` pixels.
+    fn new(start: f32, length: f32, source: usize, out: usize, weight: impl Fn(f32) -> f32) -> Self {
+        let centre = |i: usize| (i as f32 + 0.5) / out as f32;
+        let first = (0..out).find(|&i| weight(centre(i)) > 0.0).unwrap_or(0);
+        let end = (0..out)
+            .rfind(|&i| weight(centre(i)) > 0.0)
+            .map_or(first, |i| i + 1);
+        // Output pixels in the tile's own pixels.
+        let step = source as f32 / (length * out as f32);
+        let begin = (first as f32 / out as f32 - start) / length * source as f32;
+        Self {
+            first,
+            taps: taps(begin, step * (end - first) as f32, source, end - first),
+            weight: (first..end).map(|i| weight(centre(i))).collect(),
+        }
+    }
+}
+
+/// A tile on the output.
+#[derive(Clone, Debug)]
+struct Place {
+    columns: Span,
+    rows: Span,
+    is_far: bool,
 }
 
 /// Resamples network outputs.
 #[derive(Clone, Debug)]
 pub struct OutputResampler {
     shape: NetworkShape,
-    columns: heapless::Vec<TileColumns, { crate::budget::MAX_TILES }>,
-    rows: Box<[Taps]>,
+    height: usize,
+    places: heapless::Vec<Place, { crate::budget::MAX_TILES }>,
     /// Road, not road and vehicle of one tile at the network's resolution, `[out_height, out_width, 3] f32`.
     reduced: Box<[[f32; 3]]>,
     /// One row of it, rows already mixed.
@@ -35,28 +62,20 @@ impl OutputResampler {
     /// To an output of `width x height` pixels, for `tiles` of the image.
     #[must_use]
     pub fn new(shape: &NetworkShape, tiles: &Tiles, width: usize, height: usize) -> Self {
-        let columns = tiles
+        let places = tiles
             .iter()
-            .map(|tile| {
-                let centre = |x: usize| (x as f32 + 0.5) / width as f32;
-                let first = (0..width).find(|&x| tile.weight(centre(x)) > 0.0).unwrap_or(0);
-                let end = (0..width)
-                    .rfind(|&x| tile.weight(centre(x)) > 0.0)
-                    .map_or(first, |x| x + 1);
-                // Output columns in the tile's own pixels.
-                let step = shape.out_width as f32 / (tile.width * width as f32);
-                let start = (first as f32 / width as f32 - tile.left) / tile.width * shape.out_width as f32;
-                TileColumns {
-                    first,
-                    taps: taps(start, step * (end - first) as f32, shape.out_width, end - first),
-                    weight: (first..end).map(|x| tile.weight(centre(x))).collect(),
-                }
+            .map(|tile| Place {
+                columns: Span::new(tile.left, tile.width, shape.out_width, width, |x| tile.weight(x)),
+                rows: Span::new(tile.top, tile.height, shape.out_height, height, |y| {
+                    tile.row_weight(y)
+                }),
+                is_far: tile.is_far,
             })
             .collect();
         Self {
             shape: shape.clone(),
-            columns,
-            rows: taps(0.0, shape.out_height as f32, shape.out_height, height),
+            height,
+            places,
             reduced: vec![[0.0; 3]; shape.out_width * shape.out_height].into_boxed_slice(),
             line: vec![[0.0; 3]; shape.out_width].into_boxed_slice(),
         }
@@ -68,7 +87,7 @@ impl OutputResampler {
     /// Where a size is not that given at construction, or there is no such tile.
     pub fn add_tile(&mut self, softmax: &[f32], index: usize, probability: &mut RoadProbability) {
         let width = probability.width();
-        assert!(probability.height() == self.rows.len());
+        assert!(probability.height() == self.height);
         if index == 0 {
             probability.road.fill(0.0);
             probability.not_road.fill(0.0);
@@ -76,8 +95,12 @@ impl OutputResampler {
         }
         self.reduce(softmax);
         let out_width = self.shape.out_width;
-        let columns = &self.columns[index];
-        for (y, row_taps) in self.rows.iter().enumerate() {
+        let Place {
+            columns,
+            rows,
+            is_far,
+        } = &self.places[index];
+        for (y, (row_taps, row_weight)) in rows.taps.iter().zip(&rows.weight).enumerate() {
             self.line.fill([0.0; 3]);
             for (source_y, weight) in row_taps.iter() {
                 let row = &self.reduced[source_y * out_width..][..out_width];
@@ -87,7 +110,7 @@ impl OutputResampler {
                     sum[2] += weight * value[2];
                 }
             }
-            let start = y * width + columns.first;
+            let start = (rows.first + y) * width + columns.first;
             let road = &mut probability.road[start..][..columns.taps.len()];
             let not_road = &mut probability.not_road[start..][..columns.taps.len()];
             let vehicle = &mut probability.vehicle[start..][..columns.taps.len()];
@@ -98,9 +121,12 @@ impl OutputResampler {
                     sum[1] += weight * self.line[source_x][1];
                     sum[2] += weight * self.line[source_x][2];
                 }
-                road[x] += columns.weight[x] * sum[0];
-                not_road[x] += columns.weight[x] * sum[1];
-                vehicle[x] += columns.weight[x] * sum[2];
+                let weight = columns.weight[x] * row_weight;
+                // Tiles side by side add up to one; the far one takes its share from what is there.
+                let kept = if *is_far { 1.0 - weight } else { 1.0 };
+                road[x] = kept * road[x] + weight * sum[0];
+                not_road[x] = kept * not_road[x] + weight * sum[1];
+                vehicle[x] = kept * vehicle[x] + weight * sum[2];
             }
         }
     }
@@ -159,7 +185,14 @@ mod tests {
     fn tiles_join_without_a_seam() {
         let shape = shape();
         for count in 1..=3 {
-            let tiles = tile(300, 100, &TileConfig { count: Some(count) });
+            let tiles = tile(
+                300,
+                100,
+                &TileConfig {
+                    count: Some(count),
+                    far: None,
+                },
+            );
             let mut resampler = OutputResampler::new(&shape, &tiles, 150, 50);
             let mut probability = RoadProbability::new(150, 50);
             for (index, t) in tiles.iter().enumerate() {

@@ -92,7 +92,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         camera: Box::new(frames),
         wheels,
         segmenter: network.segmenter,
-        tiles: drive::tiles(&config),
+        tiles: drive::tiles(&config, &camera),
         sinks: Vec::new(),
     };
     let summary = drive::run(

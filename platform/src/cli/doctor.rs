@@ -128,13 +128,14 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
 
 /// A run without devices.
 fn setup(config: PipelineConfig, network: Network, of: &Config) -> Setup {
+    let tiles = drive::tiles(of, &config.camera);
     Setup {
         config,
         devices: Devices {
             camera: Box::new(NoCamera),
             wheels: None,
             segmenter: network.segmenter,
-            tiles: drive::tiles(of),
+            tiles,
             sinks: Vec::new(),
         },
         real_time: network.real_time,

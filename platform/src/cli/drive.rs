@@ -9,7 +9,7 @@ use freespace::frame::Camera;
 use freespace::grid::GridConfig;
 use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::Clock as _;
-use freespace::segmentation::TileConfig;
+use freespace::segmentation::{Tile, TileConfig};
 use freespace::track::WheelConfig;
 use nalgebra::{Point3, Vector3};
 
@@ -83,9 +83,10 @@ pub(super) fn open_network(config: &Config) -> Result<Network, Failure> {
 }
 
 /// The configured tiles.
-pub(super) const fn tiles(config: &Config) -> TileConfig {
+pub(super) fn tiles(config: &Config, camera: &Camera) -> TileConfig {
     TileConfig {
         count: Some(config.network.tiles),
+        far: config.network.far_tile.then(|| Tile::far(camera)),
     }
 }
 

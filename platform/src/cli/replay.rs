@@ -124,7 +124,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         camera: Box::new(ReplayFrames::new(frames, key_frames)),
         wheels,
         segmenter: network.segmenter,
-        tiles: drive::tiles(&config),
+        tiles: drive::tiles(&config, &camera),
         sinks: Vec::new(),
     };
     let summary = drive::run(

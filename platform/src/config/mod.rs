@@ -83,6 +83,9 @@ pub struct NetworkSection {
     /// Side-by-side tiles that a wide image is cut into, each run through the network.
     #[serde(default = "one")]
     pub tiles: usize,
+    /// Whether the network sees the far end of the road once more, larger.
+    #[serde(default)]
+    pub far_tile: bool,
     /// Threads of one run.
     #[serde(default = "one")]
     pub threads: usize,

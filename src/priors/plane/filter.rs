@@ -68,6 +68,21 @@ impl PlaneFilter {
         }
     }
 
+    /// Takes in which way the camera has moved, in its own space: a car drives along its road, so the plane is parallel to it.
+    pub fn travel(&mut self, direction: &Vector3<f64>, sigma_rad: f64) {
+        // y + s z + r x vanishes along the direction.
+        let (across, along) = (direction.x / direction.z, -direction.y / direction.z);
+        let spread = self.variance[1] + across * across * self.variance[2] + sigma_rad * sigma_rad;
+        let error = along - self.mean[1] - across * self.mean[2];
+        if !(direction.z > 0.0 && error.is_finite() && spread > 0.0) {
+            return;
+        }
+        let gain = Vector3::new(0.0, self.variance[1], across * self.variance[2]) / spread;
+        self.mean += gain * error;
+        self.variance[1] *= 1.0 - gain[1];
+        self.variance[2] *= 1.0 - gain[2] * across;
+    }
+
     /// Takes over a fit that had this expectation as its prior.
     pub fn update(&mut self, fit: &PlaneFit) {
         self.mean = fit.slopes;
