@@ -43,7 +43,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     if let Some(odometer) = &odometer {
         world_config.track_m = odometer.track_m;
     }
-    let network = drive::open_network(&config)?;
+    let mut network = drive::open_network(&config)?;
     let engine = network.segmenter.name().to_owned();
     let title = RunTitle {
         title: format!("freespace demo, seed {}", args.seed),
@@ -51,16 +51,20 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         is_reproducible: args.pace == Pace::Fast,
     };
     let recording = Recording::create(&args.out, title)?;
-    let world = Arc::new(World::new(&world_config, &Arc::new(Textures::new())));
+    let world = (network.plan).measure("simulated road", || {
+        Arc::new(World::new(&world_config, &Arc::new(Textures::new())))
+    });
     let rate_hz = config.camera.frame_rate_hz;
-    let frames = SimFrames::new(
-        Arc::clone(&world),
-        &camera,
-        &Sensor::default(),
-        false,
-        rate_hz,
-        args.seconds,
-    );
+    let frames = (network.plan).measure("simulated camera", || {
+        SimFrames::new(
+            Arc::clone(&world),
+            &camera,
+            &Sensor::default(),
+            false,
+            rate_hz,
+            args.seconds,
+        )
+    });
     let wheels = odometer.map(|odometer| -> Box<dyn WheelPort + Send> {
         let encoders = Encoders {
             seed: args.seed,
@@ -78,7 +82,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let period_micros = (config.key_frames.interval_s * 1e6) as u64;
     let pipeline = drive::pipeline_config(&config, camera, odometer, Cadence::Micros(period_micros));
     let progress = Progress::new(frames.len());
-    let mut judge = Judge {
+    let mut judge = (network.plan).measure("recording and truth", || Judge {
         recorder: Recorder::new(recording, &pipeline, BTreeMap::new(), progress),
         truth: frames.camera().clone(),
         mask: vec![0; camera.width * camera.height].into_boxed_slice(),
@@ -87,7 +91,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         cells: CellCount::default(),
         pixels: PixelCount::default(),
         masks: 0,
-    };
+    });
     let devices = Devices {
         camera: Box::new(frames),
         wheels,
