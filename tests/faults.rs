@@ -164,7 +164,10 @@ impl Log {
             let age = row
                 .age_micros
                 .map_or_else(|| "-".to_owned(), |age| (age / 1000).to_string());
-            let faults: Vec<&str> = row.faults.names().collect();
+            // Whether a plane is found hangs on what is seen, not on the fault.
+            let mut faults = row.faults;
+            faults.remove(Faults::PLANE_HELD);
+            let faults: Vec<&str> = faults.names().collect();
             writeln!(
                 table,
                 "  {:>5} ms  {:<16}  blame {:<12}  out after {:>3} ms  age {:>4} ms  {}",

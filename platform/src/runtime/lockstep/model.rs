@@ -57,7 +57,7 @@ pub struct Injection {
 /// What stages cost, and what goes wrong.
 #[derive(Clone, Copy, Debug)]
 pub struct FaultModel {
-    /// Microseconds of each stage, and of each of its quanta: the readings of the clock inside it.
+    /// Microseconds of each stage, and of each of its quanta, the readings of the clock inside it, where it is slowed.
     pub costs_micros: [(u64, u64); Stage::ALL.len()],
     /// Microseconds of the network.
     pub network_micros: u64,
@@ -140,12 +140,12 @@ impl Modelled {
 
 impl Clock for Modelled {
     fn now(&self) -> Micros {
-        let stage = self.0.stage.get();
-        let quantum = stage.map_or(0, |stage| {
+        // A stage at its usual pace is charged as a whole when it is entered: how many quanta it makes of it does not matter.
+        let quantum = self.0.stage.get().map_or(0, |stage| {
+            let is_slow =
+                self.0.model.fault(Victim::Stage(stage), self.0.began.get()) == Some(FaultKind::Slow);
             let (_, micros) = self.0.model.costs_micros[stage as usize];
-            self.0
-                .model
-                .slowed(Victim::Stage(stage), self.0.began.get(), micros)
+            if is_slow { micros * SLOWER } else { 0 }
         });
         self.spend(quantum)
     }
