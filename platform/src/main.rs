@@ -11,6 +11,8 @@ use freespace_platform::runtime::rights;
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 fn main() -> ExitCode {
+    #[cfg(feature = "onnx")]
+    freespace_platform::segmenter::onnx_runtime::forbid_telemetry();
     // Where it is refused, `freespace doctor` and a live run tell it; nothing has been started that could depend on it.
     let _ = rights::settle_allocator();
     let result = match Cli::parse().command {

@@ -219,6 +219,15 @@ fn check_outlet(
     }
 }
 
+/// Keeps ONNX Runtime from telling its makers of its use. From 1.29 on its packages for Linux open a data base and upload from
+/// threads of their own, ten seconds after the start; the switch of its interface comes too late for that, this variable does not.
+///
+/// To be called first in `main`, before any other thread: the environment is the whole process's.
+pub fn forbid_telemetry() {
+    // SAFETY: no other thread runs yet that could read the environment; the caller keeps that.
+    unsafe { env::set_var("ORT_DISABLE_TELEMETRY", "1") };
+}
+
 fn load_library() -> Result<Library, String> {
     let path = find_library()?;
     let builder = ort::init_from(&path).map_err(|error| error.to_string())?;
