@@ -7,6 +7,8 @@
 
 pub mod manifest;
 #[cfg(feature = "onnx")]
+mod onnx_arena;
+#[cfg(feature = "onnx")]
 pub mod onnx_runtime;
 #[cfg(feature = "rten")]
 pub mod rten;

@@ -2,8 +2,8 @@
 //!
 //! In and Out: see [`Segmenter`]. The library is looked for at `ORT_DYLIB_PATH`, then as `.runtime/libonnxruntime.so` above the
 //! program and above the current folder, then in the system's folders and `LD_LIBRARY_PATH`; it is loaded once a process.
-//! One intra-op thread unless told otherwise (the calling one), threads that sleep instead of spin, memory arena and pattern on,
-//! input and output allocated once: a run makes no Rust allocation and no page fault. What the library itself takes from
+//! One intra-op thread unless told otherwise (the calling one), threads that sleep instead of spin, an arena that grows by what is
+//! asked for (`onnx_arena`), no memory pattern, which would hold a second set of blocks, input and output allocated once: a run makes no Rust allocation and no page fault. What the library itself takes from
 //! `malloc` within a run (about 145 small blocks) is freed within it and does not grow.
 
 use std::env;
@@ -18,7 +18,7 @@ use ort::value::{Outlet, Tensor, TensorElementType, ValueType};
 
 use super::{
     Manifest, NetworkShape, OpenError, Segmenter, SegmenterError, Stop, check_dims, input_dims, no_such_name,
-    output_dims,
+    onnx_arena, output_dims,
 };
 
 /// Folders above the program or the current one in which `.runtime` is looked for: `target/release/deps` is three deep.
@@ -172,7 +172,8 @@ fn session(environment: &Environment, model: &[u8], threads: usize) -> Result<Se
             .with_inter_threads(1)?
             .with_intra_op_spinning(false)?
             .with_inter_op_spinning(false)?
-            .with_memory_pattern(true)?;
+            .with_memory_pattern(false)?
+            .with_env_allocators()?;
         builder.commit_from_memory(model)
     };
     session().map_err(|error| error.to_string())
@@ -231,8 +232,10 @@ pub fn forbid_telemetry() {
 fn load_library() -> Result<Library, String> {
     let path = find_library()?;
     let builder = ort::init_from(&path).map_err(|error| error.to_string())?;
-    let environment = (builder.with_name("freespace").with_telemetry(false).build())
+    let mut environment = (builder.with_name("freespace").with_telemetry(false).build())
         .map_err(|error| format!("{}: {error}", path.display()))?;
+    onnx_arena::register(&mut environment)
+        .map_err(|call| format!("{}: {call} failed: a newer library is needed", path.display()))?;
     Ok(Library {
         environment,
         name: format!(
