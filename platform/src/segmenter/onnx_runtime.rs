@@ -2,9 +2,10 @@
 //!
 //! In and Out: see [`Segmenter`]. The library is looked for at `ORT_DYLIB_PATH`, then as `.runtime/libonnxruntime.so` above the
 //! program and above the current folder, then in the system's folders and `LD_LIBRARY_PATH`; it is loaded once a process.
-//! One intra-op thread unless told otherwise (the calling one), threads that sleep instead of spin, an arena that grows by what is
-//! asked for (`onnx_arena`), no memory pattern, which would hold a second set of blocks, input and output allocated once: a run makes no Rust allocation and no page fault. What the library itself takes from
-//! `malloc` within a run (about 145 small blocks) is freed within it and does not grow.
+//! One intra-op thread unless told otherwise (the calling one), threads that sleep instead of spin, an arena that grows by what
+//! is asked for (`onnx_arena`), no memory pattern, which would hold a second set of blocks, input and output allocated once: a
+//! run makes no Rust allocation and no page fault. What the library itself takes from `malloc` within a run (about 145 small
+//! blocks) is freed within it and does not grow.
 
 use std::env;
 use std::path::{Path, PathBuf};
