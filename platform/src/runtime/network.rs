@@ -20,13 +20,11 @@ use super::rights::{self, RealTimeConfig, ThreadRole};
 use crate::clock::MonotonicClock;
 use crate::segmenter::{Segmenter, SegmenterError, Stop};
 
-/// A network with the tiles, input and output it works on.
+/// A network with the tiles it works on.
 struct TiledNetwork {
     segmenter: Box<dyn Segmenter>,
     filler: InputFiller,
     resampler: OutputResampler,
-    input: Vec<f32>,
-    output: Vec<f32>,
 }
 
 impl TiledNetwork {
@@ -36,8 +34,6 @@ impl TiledNetwork {
         let (width, height) = config.working_size;
         let resampler = OutputResampler::new(&shape, filler.tiles(), width, height);
         Self {
-            input: vec![0.0; shape.input_len()],
-            output: vec![0.0; shape.output_len()],
             segmenter,
             filler,
             resampler,
@@ -46,9 +42,14 @@ impl TiledNetwork {
 
     fn run(&mut self, image: &RgbImage, out: &mut RoadProbability) -> Result<(), SegmenterError> {
         for tile in 0..self.filler.tiles().len() {
-            self.filler.fill_rgb(image, tile, &mut self.input);
-            self.segmenter.run(&self.input, &mut self.output)?;
-            self.resampler.add_tile(&self.output, tile, out);
+            let Self {
+                segmenter,
+                filler,
+                resampler,
+            } = self;
+            segmenter.run_in_place(&mut |input| filler.fill_rgb(image, tile, input), &mut |output| {
+                resampler.add_tile(output, tile, out);
+            })?;
         }
         Ok(())
     }

@@ -44,11 +44,32 @@ pub trait Segmenter: Send {
     /// Sizes of input and output.
     fn shape(&self) -> &NetworkShape;
 
-    /// Runs the network on `input`, `[3, H, W]`, into `output`, `[C, h, w]`.
+    /// Runs the network: `fill` writes the engine's input, `[3, H, W]`, and `read` takes its output, `[C, h, w]`, both where the
+    /// engine has them, for a copy of them would cost megabytes a key frame.
     ///
     /// # Errors
-    /// A wrong length, or a failure of the engine; `output` is then not to be used.
-    fn run(&mut self, input: &[f32], output: &mut [f32]) -> Result<(), SegmenterError>;
+    /// A failure of the engine; `read` was not called then.
+    fn run_in_place(
+        &mut self,
+        fill: &mut dyn FnMut(&mut [f32]),
+        read: &mut dyn FnMut(&[f32]),
+    ) -> Result<(), SegmenterError>;
+
+    /// Runs the network on a copy of `input` and copies its output to `output`.
+    ///
+    /// # Errors
+    /// A wrong length, or a failure of the engine; `output` is as it was.
+    fn run(&mut self, input: &[f32], output: &mut [f32]) -> Result<(), SegmenterError> {
+        if input.len() != self.shape().input_len() {
+            return Err(SegmenterError::InputLength);
+        }
+        if output.len() != self.shape().output_len() {
+            return Err(SegmenterError::OutputLength);
+        }
+        self.run_in_place(&mut |buffer| buffer.copy_from_slice(input), &mut |answer| {
+            output.copy_from_slice(answer);
+        })
+    }
 
     /// What stops a run from another thread; none where the engine cannot be stopped.
     fn stopper(&self) -> Option<Arc<dyn Stop>> {

@@ -132,15 +132,13 @@ impl Segmenter for OnnxRuntimeSegmenter {
         &self.shape
     }
 
-    fn run(&mut self, input: &[f32], output: &mut [f32]) -> Result<(), SegmenterError> {
-        if input.len() != self.shape.input_len() {
-            return Err(SegmenterError::InputLength);
-        }
-        if output.len() != self.shape.output_len() {
-            return Err(SegmenterError::OutputLength);
-        }
+    fn run_in_place(
+        &mut self,
+        fill: &mut dyn FnMut(&mut [f32]),
+        read: &mut dyn FnMut(&[f32]),
+    ) -> Result<(), SegmenterError> {
         let (_, buffer) = (self.input.try_extract_tensor_mut()).map_err(|_| SegmenterError::Engine)?;
-        buffer.copy_from_slice(input);
+        fill(buffer);
         // An earlier run may have been stopped.
         (self.options.0.unterminate()).map_err(|_| SegmenterError::Engine)?;
         let outputs = (self.session)
@@ -150,10 +148,10 @@ impl Segmenter for OnnxRuntimeSegmenter {
         let (_, probabilities) = value
             .try_extract_tensor::<f32>()
             .map_err(|_| SegmenterError::Engine)?;
-        if probabilities.len() != output.len() {
+        if probabilities.len() != self.shape.output_len() {
             return Err(SegmenterError::Engine);
         }
-        output.copy_from_slice(probabilities);
+        read(probabilities);
         Ok(())
     }
 

@@ -19,6 +19,8 @@ pub struct RtenSegmenter {
     input: NodeId,
     output: NodeId,
     options: RunOptions,
+    /// The input, `[3, H, W]`.
+    buffer: Box<[f32]>,
     shape: NetworkShape,
     name: String,
 }
@@ -58,6 +60,7 @@ impl RtenSegmenter {
             input,
             output,
             options: RunOptions::default().with_thread_pool(Some(pool)),
+            buffer: vec![0.0; shape.input_len()].into_boxed_slice(),
             shape,
             name: format!("rten ({why}), threads: {threads}"),
         };
@@ -104,19 +107,18 @@ impl Segmenter for RtenSegmenter {
         &self.shape
     }
 
-    fn run(&mut self, input: &[f32], output: &mut [f32]) -> Result<(), SegmenterError> {
-        if input.len() != self.shape.input_len() {
-            return Err(SegmenterError::InputLength);
-        }
-        if output.len() != self.shape.output_len() {
-            return Err(SegmenterError::OutputLength);
-        }
-        let answer = self.answer(input).map_err(|_| SegmenterError::Engine)?;
+    fn run_in_place(
+        &mut self,
+        fill: &mut dyn FnMut(&mut [f32]),
+        read: &mut dyn FnMut(&[f32]),
+    ) -> Result<(), SegmenterError> {
+        fill(&mut self.buffer);
+        let answer = self.answer(&self.buffer).map_err(|_| SegmenterError::Engine)?;
         let (_, probabilities) = (answer.into_shape_vec::<f32, 4>()).map_err(|_| SegmenterError::Engine)?;
-        if probabilities.len() != output.len() {
+        if probabilities.len() != self.shape.output_len() {
             return Err(SegmenterError::Engine);
         }
-        output.copy_from_slice(&probabilities);
+        read(&probabilities);
         Ok(())
     }
 }
