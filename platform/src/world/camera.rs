@@ -78,10 +78,10 @@ pub struct SimCamera {
     camera: Camera,
     sensor: Sensor,
     frame: Frame,
-    /// Unit rays in camera space, then in world space, of each span of pixels. Spans run on from row to row; the last
-    /// repeats the last pixel, and everything kept for pixels is as long as all spans.
+    /// Unit rays in camera space of each span of pixels; turned to world space where they are needed, which costs less than to
+    /// keep them. Spans run on from row to row; the last repeats the last pixel, and everything kept for pixels is as long as
+    /// all spans.
     rays: Arc<[[Lanes; 3]]>,
-    world_rays: Box<[[Lanes; 3]]>,
     gain: Arc<[f32]>,
     buffer: DepthBuffer,
     hidden: Box<[[u8; 2]]>,
@@ -150,7 +150,6 @@ impl SimCamera {
                 extent,
             },
             rays: spanned,
-            world_rays: vec![[[0.0; LANES]; 3]; spans].into_boxed_slice(),
             gain,
             buffer: DepthBuffer::new(spans * LANES),
             hidden: vec![[0; 2]; spans * LANES].into_boxed_slice(),
@@ -232,9 +231,6 @@ impl SimCamera {
         }
         self.pose = world.world_from_camera(seconds, &self.camera.mount);
         let view = View::new(&self.pose);
-        for (to, from) in self.world_rays.iter_mut().zip(&*self.rays) {
-            *to = view.to_world(from);
-        }
         let ahead = view.axes[2];
         let flat = WINDOW_AHEAD_M / ahead[0].hypot(ahead[1]).max(0.2);
         self.window.centre(
@@ -292,14 +288,8 @@ impl SimCamera {
             .sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         for &(_, index) in &self.order {
             let part = part_at(world, &self.movers, index);
-            self.buffer.draw(
-                part,
-                index + 1,
-                &self.frame,
-                &view,
-                &self.world_rays,
-                &world.textures,
-            );
+            self.buffer
+                .draw(part, index + 1, &self.frame, &view, &self.rays, &world.textures);
         }
         for decal in &self.decals {
             let reach = decal.half.map(|h| h + decal.soft);
@@ -308,7 +298,7 @@ impl SimCamera {
             };
             for y in bounds.y[0]..bounds.y[1] {
                 for i in y * self.camera.width + bounds.x[0]..y * self.camera.width + bounds.x[1] {
-                    let ray = ray(&self.world_rays[i / LANES], i % LANES);
+                    let ray = ray(&view.to_world(&self.rays[i / LANES]), i % LANES);
                     decal.darken(&view, ray, &mut self.hidden[i]);
                 }
             }
@@ -346,7 +336,8 @@ impl SimCamera {
         let (parts, _) = self.buffer.part.as_chunks::<LANES>();
         let (labels_out, _) = self.labels.as_chunks_mut::<LANES>();
         let (depths_out, _) = self.depth_m.as_chunks_mut::<LANES>();
-        for (span, rays) in self.world_rays.iter().enumerate() {
+        for (span, rays) in self.rays.iter().enumerate() {
+            let rays = &view.to_world(rays);
             let (limits, hidden, parts) = (&limits[span], &hidden[span], &parts[span]);
             let mut labels = [Label::Sky as u8; LANES];
             let mut distance = *limits;

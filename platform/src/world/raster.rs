@@ -227,7 +227,7 @@ impl DepthBuffer {
                 if limits.iter().all(|&limit| limit <= nearest) {
                     continue;
                 }
-                let met = seen.distances(rays, limits, textures);
+                let met = seen.distances(&view.to_world(rays), limits, textures);
                 for i in 0..LANES {
                     let nearer = met[i] < limits[i];
                     limits[i] = if nearer { met[i] } else { limits[i] };

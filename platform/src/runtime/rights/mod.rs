@@ -78,11 +78,11 @@ impl ThreadRole {
     #[must_use]
     pub const fn default_settings(self) -> ThreadSettings {
         let (policy, stack_kib) = match self {
-            Self::Camera => (Policy::Fifo(46), 1024),
+            Self::Camera => (Policy::Fifo(46), 512),
             Self::Frame => (Policy::Fifo(45), 1024),
             Self::KeyFrame => (Policy::Fifo(40), 1024),
-            Self::Network => (Policy::Fifo(38), 1024),
-            Self::Publisher => (Policy::Fifo(48), 1024),
+            Self::Network => (Policy::Fifo(38), 512),
+            Self::Publisher => (Policy::Fifo(48), 256),
             Self::Monitor => (Policy::Normal, 1024),
         };
         ThreadSettings {

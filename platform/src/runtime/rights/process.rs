@@ -10,7 +10,7 @@ const OWN_PAGES_FROM: libc::c_int = 1 << 20;
 
 /// Free heap that is locked beside what is in use, so that what libraries take later meets no page fault: a heap that grows
 /// after the lock is counted as locked, but its new pages were seen (Linux 6.18) to fault at their first touch all the same.
-const SPARE_BYTES: usize = 4 << 20;
+const SPARE_BYTES: usize = 1 << 20;
 
 /// One heap for all threads, and big blocks apart from it; call it first in `main`, before any thread.
 ///
