@@ -75,6 +75,8 @@ pub enum FrameError {
     WrongSize,
     /// The stage itself failed: drop it.
     Refused,
+    /// The pose that came of it is no place the car can be: start the task anew.
+    Broken,
 }
 
 impl core::fmt::Display for FrameError {
@@ -83,6 +85,7 @@ impl core::fmt::Display for FrameError {
             Self::WrongLength => "the frame's length does not fit its format and size",
             Self::WrongSize => "the frame's size is not the configured one",
             Self::Refused => "the frame stage failed",
+            Self::Broken => "the pose that came of it is no place the car can be",
         })
     }
 }

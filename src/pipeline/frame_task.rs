@@ -12,6 +12,11 @@ use crate::space::{Micros, Plane, Pose};
 use crate::stage::{Stage, StageProbe, StageTimes};
 use crate::track::{FrameEstimate, Tracker, Travel, WheelOdometer, WheelReading};
 
+/// Farther than this the pose does not move from a frame to the next, a correction by the map included.
+const LARGEST_STEP_M: f64 = 60.0;
+/// And than this for each second between them.
+const LARGEST_SPEED_MPS: f64 = 120.0;
+
 /// What a key frame is made of.
 #[derive(Clone, Debug)]
 pub struct KeyFrameJob {
@@ -137,7 +142,12 @@ impl FrameTask {
         task.frames = self.frames;
         task.sequence = self.sequence;
         task.rejected_views = self.rejected_views;
-        task.tracker = self.tracker.renewed(&config.track);
+        let origin = self.last.map_or_else(
+            || config.camera.mount.vehicle_from_camera(),
+            |last| last.world_from_camera,
+        );
+        task.tracker = self.tracker.renewed(&config.track, origin);
+        task.last = self.last;
         task.plane_in_camera = self.plane_in_camera;
         task
     }
@@ -160,7 +170,7 @@ impl FrameTask {
     /// `key_frame_wanted` makes this frame a key frame whatever the cadence says.
     ///
     /// # Errors
-    /// The frame does not fit the camera; nothing has changed then.
+    /// The frame does not fit the camera; nothing has changed then. [`FrameError::Broken`]: go on with [`Self::renewed`].
     pub fn step(
         &mut self,
         raw: &RawFrame<'_>,
@@ -190,6 +200,9 @@ impl FrameTask {
             ),
             _ => self.tracker.coast(raw.stamp, travel),
         };
+        if !self.is_plausible(&estimate) {
+            return Err(FrameError::Broken);
+        }
         self.collect_view(job);
         if let Some(fault) = fault {
             job.faults.insert(fault.into());
@@ -275,6 +288,18 @@ impl FrameTask {
         }
         // Cannot fail: the frame was taken above, and the job's picture has the camera's size.
         let _ = raw.rgb_into(&mut job.image);
+    }
+
+    /// Whether a pose is a place at all, and one that the car can have come to.
+    fn is_plausible(&self, estimate: &FrameEstimate) -> bool {
+        let pose = &estimate.world_from_camera;
+        let is_finite = pose.to_homogeneous().iter().all(|value| value.is_finite());
+        let is_near = self.last.is_none_or(|last| {
+            let moved = pose.translation.vector - last.world_from_camera.translation.vector;
+            let seconds = estimate.stamp.seconds_since(last.stamp).max(0.0);
+            moved.norm() < LARGEST_STEP_M + LARGEST_SPEED_MPS * seconds
+        });
+        is_finite && is_near
     }
 
     fn speed_mps(&self, estimate: &FrameEstimate) -> f64 {

@@ -183,16 +183,11 @@ impl Tracker {
         }
     }
 
-    /// A tracker to go on in place of this one, from its last pose and speed; no track of it shares a number with the old ones.
+    /// A tracker to go on in place of this one, from a pose; no track of it shares a number with the old ones.
     #[must_use]
-    pub fn renewed(&self, config: &TrackConfig) -> Self {
-        let origin = self
-            .past
-            .back()
-            .map_or(self.origin, |past| past.world_from_camera);
+    pub fn renewed(&self, config: &TrackConfig, origin: Pose) -> Self {
         Self {
             next_id: self.next_id,
-            speed_mps: self.speed_mps,
             origin,
             ..Self::new(&self.camera, config)
         }
@@ -284,7 +279,11 @@ impl Tracker {
         let correct = |pose: &Pose| {
             let mut since = tracked.inv_mul(pose);
             since.translation.vector *= update.rescale;
-            update.world_from_camera * since
+            let mut corrected = update.world_from_camera * since;
+            // The inverse of a rotation is taken to be its conjugate, so that an error of its length is doubled here; while the car
+            // stands, the same pose passes here at every key frame.
+            corrected.rotation.renormalize();
+            corrected
         };
         for past in self.past.iter_mut() {
             past.world_from_camera = correct(&past.world_from_camera);
@@ -358,7 +357,9 @@ impl Tracker {
         }
     }
 
-    fn remember(&mut self, stamp: Micros, world_from_camera: Pose) {
+    fn remember(&mut self, stamp: Micros, mut world_from_camera: Pose) {
+        // Each frame's pose is a product with the last one's.
+        world_from_camera.rotation.renormalize();
         if self.past.is_full() {
             self.past.pop_front();
         }

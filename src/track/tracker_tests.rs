@@ -251,3 +251,31 @@ fn a_late_correction_moves_the_present() {
     let next = drive.step(0.6, 0.0, true);
     assert!(next.world_from_camera.translation.vector.norm() < 100.0);
 }
+
+/// At a standstill the map repeats its answer at every key frame. An error of the rotation's length once doubled with each: after
+/// half a minute the car was nowhere.
+#[test]
+fn a_long_standstill_leaves_the_pose_alone() {
+    let mut drive = Drive::new();
+    drive.step(0.6, 0.0, true);
+    drive.step(0.6, 0.05, true);
+    let mut view = View::default();
+    drive.tracker.view_into(&mut view);
+    let update = MapUpdate {
+        stamp: Some(view.stamp),
+        world_from_camera_tracked: view.world_from_camera,
+        world_from_camera: view.world_from_camera,
+        rescale: 1.0,
+        ..MapUpdate::default()
+    };
+    drive.step(0.0, 0.0, true);
+    let before = drive.step(0.0, 0.0, true);
+    for _ in 0..200 {
+        drive.tracker.apply(&update);
+        drive.step(0.0, 0.0, true);
+    }
+    let after = drive.step(0.0, 0.0, true);
+    let moved = before.world_from_camera.inv_mul(&after.world_from_camera);
+    assert!(moved.translation.vector.norm() < 1e-6, "{moved}");
+    assert!((after.world_from_camera.rotation.norm() - 1.0).abs() < 1e-12);
+}

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use freespace::deadline::Announcement;
+use freespace::frame::FrameError;
 use freespace::health::Blame;
 use freespace::pipeline::{FrameOutcome, FrameTask, KeyFrameJob, Lesson, PipelineConfig};
 use freespace::port::{Clock as _, FrameBuffer, WheelPort};
@@ -115,18 +116,21 @@ impl FrameThread {
             Ok(Err(error)) => {
                 let now = self.shared.clock.now();
                 self.teller.tell(now, Event::FrameRefused(error));
+                if error == FrameError::Broken {
+                    self.start_anew(Stage::Track);
+                }
                 None
             }
             Err(Panicked) => {
-                self.start_anew();
+                let stage = self.shared.frame_progress.place().stage();
+                self.start_anew(stage.unwrap_or(Stage::Frame));
                 None
             }
         }
     }
 
-    fn start_anew(&mut self) {
-        let stage = self.shared.frame_progress.place().stage();
-        let blame = Blame::Stage(stage.unwrap_or(Stage::Frame));
+    fn start_anew(&mut self, stage: Stage) {
+        let blame = Blame::Stage(stage);
         let now = self.shared.clock.now();
         if self.shared.restarts.may_restart() {
             self.teller.tell(now, Event::Panicked(blame));

@@ -1,6 +1,7 @@
 //! The tasks of a live run on one thread: each as busy as its time says, hand-overs in between.
 
 use freespace::deadline::{Cause, Verdict};
+use freespace::frame::FrameError;
 use freespace::health::{Blame, Faults};
 use freespace::pipeline::{
     FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace, PipelineConfig, PublishTask, Workers,
@@ -232,12 +233,12 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
                     self.hand_over(done);
                 }
             }
-            Ok(Err(_)) => self.summary.dropped_frames += 1,
-            Err(Panicked) => {
+            Ok(Err(error)) if error != FrameError::Broken => self.summary.dropped_frames += 1,
+            Ok(Err(_)) | Err(Panicked) => {
                 self.summary.dropped_frames += 1;
                 self.summary.restarts += 1;
                 let blame = Blame::Stage(self.frame_time.stage().unwrap_or(Stage::Frame));
-                self.frame_task = self.frame_task.renewed(self.config);
+                self.frame_task = outside_scopes(|| self.frame_task.renewed(self.config));
                 FrameTask::recycle(&mut self.job);
                 self.frame_free = Some(done.plus(RESTART_MICROS));
                 self.agenda.add(done, Event::FramePanicked(blame));
