@@ -12,11 +12,12 @@ use std::sync::Arc;
 
 use freespace::frame::{Camera, RgbImage};
 use freespace::pipeline::{
-    Cadence, FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace, PipelineConfig, Stage,
+    Cadence, FrameTask, KeyFrameJob, KeyFrameOutput, KeyFrameTask, Lesson, Pace, PipelineConfig,
 };
 use freespace::port::{CameraPort, FrameBuffer, NetworkMiss, RoadNetwork, WheelPort};
 use freespace::segmentation::RoadProbability;
 use freespace::space::{Micros, Pose};
+use freespace::stage::Stage;
 use freespace::track::WheelConfig;
 use freespace_platform::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera, ReplayFrames};
 use freespace_platform::camera::{SimFrames, seconds_at};

@@ -28,7 +28,6 @@ use crate::grid::GridConfig;
 use crate::map::MapConfig;
 use crate::priors::PriorsConfig;
 use crate::segmentation::ColourConfig;
-pub use crate::stage::{Stage, StageTimes};
 use crate::track::{TrackConfig, WheelConfig};
 
 /// Everything the stages are built from.

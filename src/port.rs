@@ -94,6 +94,8 @@ pub enum CameraAnswer {
     Frame,
     /// A frame was lost or could not be decoded; the next one may come.
     Lost,
+    /// No frame came while it was waited for; one may come yet.
+    Silent,
     /// No frame will come any more.
     End,
 }

@@ -109,3 +109,15 @@ fn without_wheels_every_key_frame_is_answered_too() {
     assert_eq!((summary.key_frames, log.messages.len()), (8, 8));
     assert_eq!(summary.allocations_after_start, 0);
 }
+
+/// A key frame each frame, so that a thousand of them do not take all day.
+#[test]
+fn a_thousand_key_frames_allocate_nothing() {
+    let (camera, frames, wheels) = simulated::devices(100.0);
+    let mut setup = simulated::setup(camera, frames, Some(wheels), Triangle::new(0..0));
+    setup.config.cadence = freespace::pipeline::Cadence::Micros(100_000);
+    let mut log = Log::default();
+    let summary = run_in_lockstep(setup, &mut log);
+    assert_eq!(summary.key_frames, 1_000);
+    assert_eq!(summary.allocations_after_start, 0);
+}

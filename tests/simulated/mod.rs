@@ -14,6 +14,7 @@ use freespace::segmentation::{ChannelOrder, ColourConfig, NetworkShape, TileConf
 use freespace::space::Mount;
 use freespace::track::{TrackConfig, WheelConfig};
 use freespace_platform::camera::SimFrames;
+use freespace_platform::clock::MonotonicClock;
 use freespace_platform::runtime::memory::MemoryPlan;
 use freespace_platform::runtime::rights::RealTimeConfig;
 use freespace_platform::runtime::{Devices, Setup};
@@ -162,5 +163,6 @@ pub(crate) fn setup(
         real_time: RealTimeConfig::default(),
         plan: MemoryPlan::new(),
         lacks: Vec::new(),
+        clock: MonotonicClock::default(),
     }
 }

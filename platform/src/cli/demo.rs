@@ -8,9 +8,10 @@ use freespace::pipeline::Cadence;
 use freespace::port::WheelPort;
 use freespace::space::{Micros, Pose};
 
-use super::drive::{self, Progress, Recorded, Recorder};
+use super::drive::{self, Progress, Recorded, Recorder, Watch};
 use super::{DemoArgs, Failure, Pace, table};
 use crate::camera::{SimFrames, seconds_at};
+use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::grid::{CellCount, RANGE_M};
 use crate::eval::masks::{PixelCount, TruthKind};
@@ -81,9 +82,9 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     )]
     let period_micros = (config.key_frames.interval_s * 1e6) as u64;
     let pipeline = drive::pipeline_config(&config, camera, odometer, Cadence::Micros(period_micros));
-    let progress = Progress::new(frames.len());
+    let watch = Watch::new(Progress::new(Some(frames.len())));
     let mut judge = (network.plan).measure("recording and truth", || Judge {
-        recorder: Recorder::new(recording, &pipeline, BTreeMap::new(), progress),
+        recorder: Recorder::new(recording, &pipeline, BTreeMap::new(), watch),
         truth: frames.camera().clone(),
         mask: vec![0; camera.width * camera.height].into_boxed_slice(),
         world,
@@ -106,6 +107,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
             real_time: network.real_time,
             plan: network.plan,
             lacks: network.lacks,
+            clock: MonotonicClock::default(),
         },
         args.pace,
         &mut judge,

@@ -15,6 +15,7 @@ use serde::Serialize;
 use super::demo::{SHIPPED, shipped};
 use super::drive::{self, Network};
 use super::{DoctorArgs, Failure};
+use crate::clock::MonotonicClock;
 use crate::config::{Config, ImageSize, Wheels};
 use crate::doctor::{self, Check, Jitter, NetworkTiming, State, System};
 use crate::runtime::memory::MemoryPlan;
@@ -141,6 +142,7 @@ fn setup(config: PipelineConfig, network: Network, of: &Config) -> Setup {
         real_time: network.real_time,
         plan: network.plan,
         lacks: network.lacks,
+        clock: MonotonicClock::default(),
     }
 }
 

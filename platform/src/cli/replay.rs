@@ -8,10 +8,11 @@ use freespace::pipeline::Cadence;
 use freespace::port::WheelPort;
 use freespace::track::WheelConfig;
 
-use super::drive::{self, Progress, Recorded, Recorder};
+use super::drive::{self, Progress, Recorded, Recorder, Watch};
 use super::{Ablation, Failure, Pace, ReplayArgs, table};
 use crate::bad_input::BadInput;
 use crate::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera, ReplayFrames};
+use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
 use crate::runtime::{Devices, Setup};
@@ -118,8 +119,8 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         .listing()
         .map(|(index, name, _)| (index as u64, name.to_owned()))
         .collect();
-    let progress = Progress::new(frames.len());
-    let mut recorder = Recorder::new(recording, &pipeline, names, progress);
+    let watch = Watch::new(Progress::new(Some(frames.len())));
+    let mut recorder = Recorder::new(recording, &pipeline, names, watch);
     let devices = Devices {
         camera: Box::new(ReplayFrames::new(frames, key_frames)),
         wheels,
@@ -134,6 +135,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
             real_time: network.real_time,
             plan: network.plan,
             lacks: network.lacks,
+            clock: MonotonicClock::default(),
         },
         args.pace,
         &mut recorder,

@@ -13,6 +13,8 @@ pub struct RuntimeSection {
     pub lock_memory: bool,
     /// Camera thread.
     pub camera: ThreadSection,
+    /// CAN thread.
+    pub can: ThreadSection,
     /// Frame thread.
     pub frame: ThreadSection,
     /// Key-frame thread.
@@ -31,6 +33,7 @@ impl Default for RuntimeSection {
         Self {
             lock_memory: true,
             camera: thread(),
+            can: thread(),
             frame: thread(),
             key_frame: thread(),
             network: thread(),
@@ -86,6 +89,7 @@ macro_rules! keys {
 const fn keys(role: ThreadRole) -> Keys {
     match role {
         ThreadRole::Camera => keys!("camera"),
+        ThreadRole::Can => keys!("can"),
         ThreadRole::Frame => keys!("frame"),
         ThreadRole::KeyFrame => keys!("key_frame"),
         ThreadRole::Network => keys!("network"),
@@ -98,6 +102,7 @@ impl RuntimeSection {
     const fn of(&self, role: ThreadRole) -> &ThreadSection {
         match role {
             ThreadRole::Camera => &self.camera,
+            ThreadRole::Can => &self.can,
             ThreadRole::Frame => &self.frame,
             ThreadRole::KeyFrame => &self.key_frame,
             ThreadRole::Network => &self.network,

@@ -22,6 +22,7 @@ use freespace::port::{CameraPort, SinkPort, WheelPort};
 use freespace::segmentation::TileConfig;
 use freespace::space::Micros;
 
+use crate::clock::MonotonicClock;
 use crate::segmenter::Segmenter;
 use crate::statistics::Publication;
 use memory::MemoryPlan;
@@ -157,6 +158,8 @@ pub struct Setup {
     pub plan: MemoryPlan,
     /// Rights that were refused before the run.
     pub lacks: Vec<Lack>,
+    /// What the stamps of the devices are read on.
+    pub clock: MonotonicClock,
 }
 
 /// What a live run starts with.

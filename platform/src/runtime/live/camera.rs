@@ -38,6 +38,8 @@ impl CameraThread {
             };
             match self.next_frame(&mut buffer, is_started) {
                 CameraAnswer::End => break,
+                // The publisher answers for the key frames that do not come.
+                CameraAnswer::Silent => self.buffers.push(buffer),
                 CameraAnswer::Lost => {
                     Counters::add(&self.shared.counters.dropped_frames, 1);
                     self.buffers.push(buffer);

@@ -40,6 +40,7 @@ use assembly::Threads;
 /// What the threads share: hand-overs, progress and counters, none of it behind a lock.
 #[derive(Default)]
 struct Shared {
+    /// Set where the devices are opened; the default one is a recording's.
     clock: MonotonicClock,
     frames: Mailbox<FrameBuffer>,
     jobs: Mailbox<KeyFrameJob>,
@@ -92,8 +93,11 @@ impl LiveRun {
     /// # Errors
     /// A thread could not be started.
     pub fn prepare(setup: Setup, stop: &Arc<AtomicBool>) -> Result<Self, RunError> {
-        let shared = Arc::new(Shared::default());
         let mut setup = setup;
+        let shared = Arc::new(Shared {
+            clock: setup.clock.clone(),
+            ..Shared::default()
+        });
         let mut plan = std::mem::take(&mut setup.plan);
         let mut lacks = std::mem::take(&mut setup.lacks);
         let real_time = setup.real_time;

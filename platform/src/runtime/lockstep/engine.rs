@@ -112,6 +112,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
         while let Some(mut buffer) = spare.take().or_else(|| self.buffers.pop()) {
             match camera.next_frame(&mut buffer) {
                 CameraAnswer::End => break,
+                CameraAnswer::Silent => spare = Some(buffer),
                 CameraAnswer::Lost => {
                     self.summary.dropped_frames += 1;
                     spare = Some(buffer);

@@ -26,6 +26,8 @@ use rustix::thread::{CpuSet, sched_setaffinity, set_current_timer_slack};
 pub enum ThreadRole {
     /// Waits for frames of the camera.
     Camera,
+    /// Takes in and sends CAN frames.
+    Can,
     /// Tracks every frame.
     Frame,
     /// Maps, cuts and grids every key frame.
@@ -40,8 +42,9 @@ pub enum ThreadRole {
 
 impl ThreadRole {
     /// All roles, in the order of the pipeline.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Camera,
+        Self::Can,
         Self::Frame,
         Self::KeyFrame,
         Self::Network,
@@ -50,8 +53,9 @@ impl ThreadRole {
     ];
 
     /// The threads that must keep time.
-    pub const REAL_TIME: [Self; 5] = [
+    pub const REAL_TIME: [Self; 6] = [
         Self::Camera,
+        Self::Can,
         Self::Frame,
         Self::KeyFrame,
         Self::Network,
@@ -63,6 +67,7 @@ impl ThreadRole {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Camera => "camera",
+            Self::Can => "can",
             Self::Frame => "frame",
             Self::KeyFrame => "key-frame",
             Self::Network => "network",
@@ -79,6 +84,7 @@ impl ThreadRole {
     pub const fn default_settings(self) -> ThreadSettings {
         let (policy, stack_kib) = match self {
             Self::Camera => (Policy::Fifo(46), 512),
+            Self::Can => (Policy::Fifo(47), 256),
             Self::Frame => (Policy::Fifo(45), 1024),
             Self::KeyFrame => (Policy::Fifo(40), 1024),
             Self::Network => (Policy::Fifo(38), 512),

@@ -7,6 +7,12 @@ use std::sync::atomic::AtomicBool;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
+/// Ends the process without any destructor, for one whose threads cannot be ended.
+pub fn end_at_once(code: i32) -> ! {
+    // SAFETY: the call takes no pointer and does not return.
+    unsafe { libc::_exit(code) }
+}
+
 /// Sets `stop` at the first SIGTERM or SIGINT; a second one, of either kind, ends the process at once with 128 + its number.
 ///
 /// # Errors

@@ -25,8 +25,8 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use freespace::emit::CanFrame;
-use freespace::pipeline::StageTimes;
 use freespace::space::{Micros, Pose};
+use freespace::stage::StageTimes;
 use serde::Serialize;
 
 use crate::bad_input::BadInput;

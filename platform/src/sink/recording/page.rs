@@ -67,7 +67,7 @@ pub(super) fn write(run: &Run<'_>) -> Result<(), RecordingError> {
 fn head(run: &Run<'_>, template: &str) -> String {
     let title = &run.title.title;
     let heading = if title.is_empty() { "freespace run" } else { title };
-    let stages = freespace::pipeline::Stage::ALL.map(freespace::pipeline::Stage::name);
+    let stages = freespace::stage::Stage::ALL.map(freespace::stage::Stage::name);
     template
         .replace("<!--TITLE-->", &escaped(heading))
         .replace("<!--CARDS-->", &cards(run.report))

@@ -17,7 +17,7 @@ use crate::eval::trajectory::read;
 use crate::runtime::allocation::RealTimeScope;
 use crate::statistics::Publication;
 use freespace::health::{Faults, QualityLevel, ScaleState, TrackingState};
-use freespace::pipeline::Stage;
+use freespace::stage::Stage;
 
 const LAYOUT: GridLayout = GridLayout {
     rows: 60,

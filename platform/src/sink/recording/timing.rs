@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use freespace::pipeline::Stage;
+use freespace::stage::Stage;
 use serde::Serialize;
 
 use super::folder::LineFile;

@@ -1,0 +1,144 @@
+//! What `run`, `demo` and `replay` share: the pipeline built from a configuration, watched, and its results recorded.
+
+mod progress;
+mod recorder;
+mod watch;
+
+pub(in crate::cli) use progress::Progress;
+pub(in crate::cli) use recorder::{Recorded, Recorder};
+pub(in crate::cli) use watch::Watch;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use freespace::frame::Camera;
+use freespace::grid::GridConfig;
+use freespace::pipeline::{Cadence, PipelineConfig};
+use freespace::segmentation::{Tile, TileConfig};
+use freespace::track::WheelConfig;
+
+use super::{Failure, Pace};
+use crate::bad_input::BadInput;
+use crate::config::Config;
+use crate::eval::grid::GridLayout;
+use crate::runtime::memory::MemoryPlan;
+use crate::runtime::rights::{self, Lack, RealTimeConfig, ThreadRole};
+use crate::runtime::supervision::{end_at_once, stop_on_signals};
+use crate::runtime::{self, Observer, RunError, RunSummary, Setup};
+use crate::segmenter::{self, EngineChoice, Manifest, Segmenter};
+
+/// Exit code of a process that must be started anew: an internal failure.
+const HUNG: i32 = 1;
+
+/// The pipeline's settings.
+pub(in crate::cli) fn pipeline_config(
+    config: &Config,
+    camera: Camera,
+    wheels: Option<WheelConfig>,
+    cadence: Cadence,
+) -> PipelineConfig {
+    let working = config.working_size(camera.width, camera.height);
+    PipelineConfig {
+        camera,
+        working_size: (working.width, working.height),
+        wheels,
+        cadence,
+        slices: config.slices(),
+        track: config.track,
+        map: config.map,
+        priors: config.priors,
+        colour: config.colour_lines,
+        crf: config.crf,
+        grid: config.grid,
+    }
+}
+
+/// The configured network, and what opening it took.
+pub(in crate::cli) struct Network {
+    pub(in crate::cli) segmenter: Box<dyn Segmenter>,
+    pub(in crate::cli) real_time: RealTimeConfig,
+    pub(in crate::cli) plan: MemoryPlan,
+    pub(in crate::cli) lacks: Vec<Lack>,
+}
+
+/// Opens the configured network; the threads of its library become as real-time as its own.
+///
+/// # Errors
+/// A manifest or model that is missing or wrong, or no engine for it.
+pub(in crate::cli) fn open_network(config: &Config) -> Result<Network, Failure> {
+    let manifest = Manifest::load(&config.network.manifest).map_err(Failure::bad_input)?;
+    let real_time = config.real_time();
+    let mut plan = MemoryPlan::new();
+    let (opened, lacks) = rights::adopt_new_threads(ThreadRole::Network, &real_time, || {
+        plan.measure_library("network", || {
+            segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
+        })
+    });
+    Ok(Network {
+        segmenter: opened.map_err(Failure::bad_input)?,
+        real_time,
+        plan,
+        lacks: lacks.into_iter().collect(),
+    })
+}
+
+/// The configured tiles.
+pub(in crate::cli) fn tiles(config: &Config, camera: &Camera) -> TileConfig {
+    TileConfig {
+        count: Some(config.network.tiles),
+        far: config.network.far_tile.then(|| Tile::far(camera)),
+    }
+}
+
+/// Runs the pipeline at a pace; at real pace until SIGTERM or SIGINT at the latest.
+///
+/// # Errors
+/// A thread that could not be started, hung, or panicked too often.
+pub(in crate::cli) fn run(
+    setup: Setup,
+    pace: Pace,
+    observer: &mut dyn Observer,
+) -> Result<RunSummary, Failure> {
+    if pace == Pace::Fast {
+        return Ok(runtime::run_in_lockstep(setup, observer));
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    let internal = |error: &dyn std::error::Error| Failure::Internal(miette::miette!("{error}"));
+    stop_on_signals(&stop).map_err(|error| internal(&error))?;
+    runtime::run_live(setup, &stop, observer).map_err(|error| {
+        if let RunError::Hung(_) = error {
+            // The hanging thread would meet the libraries' destructors at an ordinary end.
+            eprintln!("freespace: {error}");
+            end_at_once(HUNG);
+        }
+        internal(&error)
+    })
+}
+
+/// Where the cells of a grid lie.
+pub(in crate::cli) fn layout(config: &GridConfig) -> GridLayout {
+    let (rows, columns, cell_m) = config.size();
+    let cell_m = f64::from(cell_m);
+    #[expect(clippy::cast_precision_loss, reason = "columns of a grid")]
+    let right_m = -0.5 * columns as f64 * cell_m;
+    GridLayout {
+        rows,
+        columns,
+        cell_m,
+        origin_in_vehicle_m: [0.0, right_m],
+    }
+}
+
+/// A folder to write to must not be the one that is read.
+pub(in crate::cli) fn check_apart(source: &Path, out: &Path) -> Result<(), BadInput> {
+    let same = matches!((source.canonicalize(), out.canonicalize()), (Ok(a), Ok(b)) if a == b);
+    if same {
+        return Err(BadInput::of_file(
+            out,
+            "is the folder that is replayed",
+            "give another folder with --out",
+        ));
+    }
+    Ok(())
+}

@@ -1,0 +1,97 @@
+//! Watches a run: counts it, tells the service manager and whoever reads standard error.
+
+use super::progress::Progress;
+use crate::cli::memory_watch::MemoryWatch;
+use crate::cli::service::Service;
+use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, Start, Status, Trace};
+use crate::sink::recording::RunCounts;
+use crate::statistics::{DriveStatistics, Drops, Publication};
+
+/// Counts a run; its memory does not grow with it.
+pub(in crate::cli) struct Watch {
+    statistics: DriveStatistics,
+    tracked_frames: u64,
+    progress: Progress,
+    service: Service,
+    memory: Option<MemoryWatch>,
+}
+
+impl Watch {
+    pub(in crate::cli) fn new(progress: Progress) -> Self {
+        Self {
+            statistics: DriveStatistics::new(),
+            tracked_frames: 0,
+            progress,
+            service: Service::from_environment(),
+            memory: None,
+        }
+    }
+
+    /// The run in numbers, once it is over.
+    pub(in crate::cli) fn finish(mut self, summary: &RunSummary) -> (RunCounts, DriveStatistics) {
+        self.progress.end();
+        self.statistics.set_drops(Drops {
+            unobserved: Some(summary.unobserved),
+            ..Drops::default()
+        });
+        let counts = RunCounts {
+            key_frames: summary.key_frames,
+            deadline_misses: summary.deadline_misses,
+            frames: summary.frames,
+            tracked_frames: self.tracked_frames,
+            dropped_frames: summary.dropped_frames,
+            allocations_after_start: runtime::allocation::is_installed()
+                .then_some(summary.allocations_after_start),
+            peak_rss_mb: peak_rss_mb(),
+            memory: (self.memory.as_ref()).map(|memory| memory.finish(summary.page_faults)),
+            restarts: summary.restarts,
+        };
+        (counts, self.statistics)
+    }
+}
+
+impl Observer for Watch {
+    fn started(&mut self, start: &Start<'_>) {
+        self.service.started(start);
+        self.memory = Some(MemoryWatch::new(start.plan));
+    }
+
+    fn frame(&mut self, report: &FrameReport) {
+        use freespace::health::TrackingState;
+        // The first frame has nothing to be tracked against: its pose is the origin.
+        let is_tracked =
+            report.outcome.estimate.state != TrackingState::DeadReckoning || self.tracked_frames == 0;
+        self.tracked_frames += u64::from(is_tracked);
+        self.statistics.frame(report.outcome.estimate.state);
+        self.statistics.frame_micros(report.outcome.micros);
+        self.progress.frame(report.index);
+    }
+
+    fn publication(&mut self, publication: &Publication) {
+        self.statistics.publication(publication);
+        self.progress.publication(publication);
+    }
+
+    fn key_frame(&mut self, _: &KeyFrameReport<'_>) {}
+
+    #[expect(clippy::cast_precision_loss, reason = "seconds")]
+    fn trace(&mut self, trace: &Trace) {
+        self.progress.interrupt();
+        eprintln!("{:.3} s: {}", trace.at.0 as f64 * 1e-6, trace.event);
+    }
+
+    fn status(&mut self, status: &Status) {
+        self.service.status(status, &self.statistics);
+        if let Some(memory) = &mut self.memory {
+            memory.look();
+        }
+    }
+}
+
+/// Largest resident memory, as the kernel counts it.
+fn peak_rss_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    let kilobytes: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kilobytes / 1024.0)
+}
