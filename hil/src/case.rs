@@ -1,0 +1,103 @@
+//! A case: what is injected, what is required, and what was seen; one row of the table.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::bench::{BenchError, Rig};
+
+/// One case.
+pub(crate) struct Case {
+    pub(crate) name: &'static str,
+    pub(crate) injected: &'static str,
+    pub(crate) required: &'static str,
+    /// Whether it belongs to the short set.
+    pub(crate) is_quick: bool,
+    pub(crate) run: fn(&Rig) -> Result<Seen, BenchError>,
+}
+
+/// How a case ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Verdict {
+    Passed,
+    Failed,
+    Skipped,
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Passed => "passed",
+            Self::Failed => "FAILED",
+            Self::Skipped => "SKIPPED",
+        })
+    }
+}
+
+/// What a case saw.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Seen {
+    /// In words.
+    pub(crate) words: Vec<String>,
+    /// What was required and did not hold.
+    pub(crate) broken: Vec<String>,
+    /// From the end of the fault to the first good answer.
+    pub(crate) recovery_s: Option<f64>,
+}
+
+impl Seen {
+    /// Notes a figure.
+    pub(crate) fn note(&mut self, words: impl Into<String>) {
+        self.words.push(words.into());
+    }
+
+    /// Notes what does not hold, where it does not.
+    pub(crate) fn require(&mut self, holds: bool, otherwise: impl Into<String>) {
+        if !holds {
+            self.broken.push(otherwise.into());
+        }
+    }
+}
+
+/// A row of the table.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Row {
+    pub(crate) case: String,
+    pub(crate) injected: String,
+    pub(crate) required: String,
+    pub(crate) seen: String,
+    pub(crate) recovery_s: Option<f64>,
+    pub(crate) verdict: Verdict,
+    pub(crate) seconds: f64,
+}
+
+impl Case {
+    /// Runs it on the bench.
+    pub(crate) fn row(&self, rig: &Rig) -> Row {
+        let begin = std::time::Instant::now();
+        let (verdict, seen, recovery_s) = match (self.run)(rig) {
+            Ok(seen) if seen.broken.is_empty() => (Verdict::Passed, seen.words.join("; "), seen.recovery_s),
+            Ok(seen) => {
+                let all = [seen.broken, seen.words].concat();
+                (Verdict::Failed, all.join("; "), seen.recovery_s)
+            }
+            Err(BenchError::Lacking(what)) => (Verdict::Skipped, what, None),
+            Err(error) => (Verdict::Failed, error.to_string(), None),
+        };
+        self.with(verdict, seen, recovery_s, begin.elapsed().as_secs_f64())
+    }
+
+    /// A row of this case.
+    pub(crate) fn with(&self, verdict: Verdict, seen: String, recovery_s: Option<f64>, seconds: f64) -> Row {
+        Row {
+            case: self.name.to_owned(),
+            injected: self.injected.to_owned(),
+            required: self.required.to_owned(),
+            seen,
+            recovery_s,
+            verdict,
+            seconds,
+        }
+    }
+}

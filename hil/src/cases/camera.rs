@@ -1,0 +1,95 @@
+//! The camera misbehaves.
+
+use freespace::health::{Faults, QualityLevel};
+
+use crate::bench::{Bench, BenchError, Rig};
+use crate::case::{Case, Seen};
+use crate::drive::{Script, drive};
+use crate::fault::CameraFault;
+
+/// Cases of the camera.
+pub(crate) const CASES: &[Case] = &[
+    Case {
+        name: "frame-drop",
+        injected: "every second frame is lost for 4 s",
+        required: "an answer for each key frame, tracking holds",
+        is_quick: true,
+        run: |rig| camera(rig, CameraFault::Drops, Script::default()),
+    },
+    Case {
+        name: "frame-duplicate",
+        injected: "every second frame is the one before it for 4 s",
+        required: "an answer for each key frame, tracking holds",
+        is_quick: true,
+        run: |rig| camera(rig, CameraFault::Duplicates, Script::default()),
+    },
+    Case {
+        name: "frame-freeze",
+        injected: "the same frame again and again for 4 s, the car drives",
+        required: "image_frozen is named, no such answer is full",
+        is_quick: true,
+        run: |rig| {
+            let script = Script {
+                named: Faults::IMAGE_FROZEN,
+                best: Some(QualityLevel::NoFreshMap),
+                ..Script::default()
+            };
+            camera(rig, CameraFault::Freezes, script)
+        },
+    },
+    Case {
+        name: "frame-black",
+        injected: "black frames for 4 s",
+        required: "image_black is named, no such answer is full",
+        is_quick: true,
+        run: |rig| {
+            let script = Script {
+                named: Faults::IMAGE_BLACK,
+                best: Some(QualityLevel::NoFreshMap),
+                ..Script::default()
+            };
+            camera(rig, CameraFault::Black, script)
+        },
+    },
+    Case {
+        name: "camera-silent",
+        injected: "no frame for 4 s, the device stays",
+        required: "camera_silent is named, an answer for each key frame",
+        is_quick: true,
+        run: |rig| camera(rig, CameraFault::Silent, silent()),
+    },
+    Case {
+        name: "camera-unplugged",
+        injected: "the camera is gone for 4 s and comes back",
+        required: "camera_silent is named, an answer for each key frame",
+        is_quick: true,
+        run: |rig| camera(rig, CameraFault::Unplugged, silent()),
+    },
+    Case {
+        name: "camera-wrong-size",
+        injected: "the camera comes back with another size for 4 s",
+        required: "no such frame is used, camera_silent is named",
+        is_quick: true,
+        run: |rig| camera(rig, CameraFault::WrongSize, Script { recovers_s: 6.0, ..silent() }),
+    },
+];
+
+fn silent() -> Script {
+    Script {
+        named: Faults::CAMERA_SILENT,
+        best: Some(QualityLevel::Moved),
+        recovers_s: 5.0,
+        ..Script::default()
+    }
+}
+
+fn camera(rig: &Rig, fault: CameraFault, script: Script) -> Result<Seen, BenchError> {
+    let begin = Box::new(move |bench: &mut Bench| set(bench, fault));
+    let end = Box::new(|bench: &mut Bench| set(bench, CameraFault::None));
+    drive(rig, &Script { begin, end, ..script })
+}
+
+fn set(bench: &mut Bench, fault: CameraFault) -> Result<(), BenchError> {
+    bench.feed.switches.set_camera(fault);
+    Ok(())
+}

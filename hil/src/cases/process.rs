@@ -1,0 +1,226 @@
+//! The process: its start, its ends, its clock, its disk, and a long drive.
+
+use std::time::{Duration, Instant};
+
+use freespace::health::Faults;
+use rustix::process::Signal;
+
+use crate::bench::{Bench, BenchError, Rig, STANDING, command};
+use crate::case::{Case, Seen};
+use crate::direct;
+use crate::drive::{Script, drive, finish};
+use crate::fault::CameraFault;
+use crate::feed::Feed;
+use crate::listener::Listener;
+use crate::module::Module;
+use crate::promise::Blind;
+
+/// A start that drives.
+pub(crate) const BOOT: &[Case] = &[
+    Case {
+        name: "boot",
+        injected: "nothing: the module starts on a running camera and bus",
+        required: "a good grid within 5 s of the start, no miss in 10 s",
+        is_quick: true,
+        run: boot,
+    },
+    Case {
+        name: "direct",
+        injected: "nothing: a drive of 20 s is recorded",
+        required: "grids as of a direct replay (IoU 0.98), scale within 1 %",
+        is_quick: true,
+        run: direct::case,
+    },
+];
+
+/// Cases of the process.
+pub(crate) const CASES: &[Case] = &[
+    Case {
+        name: "no-camera",
+        injected: "the camera is there 3 s after the start only",
+        required: "camera_silent is told from the start, then good grids",
+        is_quick: false,
+        run: no_camera,
+    },
+    Case {
+        name: "clock-step",
+        injected: "the wall clock jumps an hour ahead and back",
+        required: "no fault is named",
+        is_quick: true,
+        run: clock_step,
+    },
+    Case {
+        name: "sigterm",
+        injected: "SIGTERM",
+        required: "a last invalid message, exit code 0, within 1 s",
+        is_quick: true,
+        run: sigterm,
+    },
+    Case {
+        name: "sigkill",
+        injected: "SIGKILL, and a new start",
+        required: "good grids again within 5 s of the new start",
+        is_quick: true,
+        run: sigkill,
+    },
+    Case {
+        name: "disk-full",
+        injected: "a recording on a disk of 2 MB",
+        required: "the drive goes on, the full disk is told",
+        is_quick: true,
+        run: disk_full,
+    },
+    Case {
+        name: "soak-short",
+        injected: "nothing, for a minute",
+        required: "no miss, no fault, memory flat",
+        is_quick: true,
+        run: |rig| soak(rig, 60),
+    },
+    Case {
+        name: "soak",
+        injected: "nothing, for ten minutes",
+        required: "no miss, no fault, memory flat",
+        is_quick: false,
+        run: |rig| soak(rig, 600),
+    },
+];
+
+fn boot(rig: &Rig) -> Result<Seen, BenchError> {
+    let bench = Bench::start(rig, &[], None)?;
+    let mut seen = Seen::default();
+    let seconds = since(bench.started_micros, bench.first.at_micros);
+    seen.note(format!("first good grid after {seconds:.2} s"));
+    seen.require(seconds < 5.0, "the first good grid took longer than 5 s");
+    std::thread::sleep(Duration::from_secs(10));
+    all_good_since(&bench, bench.first.at_micros, &mut seen);
+    finish(bench, Blind::default(), seen)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "seconds")]
+fn since(from: u64, to: u64) -> f64 {
+    to.saturating_sub(from) as f64 * 1e-6
+}
+
+fn all_good_since(bench: &Bench, from: u64, seen: &mut Seen) {
+    let heard = bench.listener.heard();
+    let bad: Vec<_> = heard.iter().filter(|heard| heard.at_micros >= from && !heard.is_good(STANDING)).collect();
+    if let Some(first) = bad.first() {
+        let what = crate::drive::names(first.faults);
+        seen.require(false, format!("{} answers are not good: {} with {what}", bad.len(), first.level.name()));
+    }
+}
+
+fn no_camera(rig: &Rig) -> Result<Seen, BenchError> {
+    let road = rig.road(&[])?;
+    let listener = Listener::start(&rig.interface)?;
+    let feed = Feed::start(road.show()?, &rig.device, &rig.interface)?;
+    feed.switches.set_camera(CameraFault::Unplugged);
+    std::thread::sleep(Duration::from_millis(500));
+    let started_micros = crate::clock::now_micros();
+    let module = Module::start(&rig.installation, None, &rig.file("module.log"))?;
+    let mut seen = Seen::default();
+    let silent = listener.wait_for(Duration::from_secs(5), |heard| heard.faults.contains(Faults::CAMERA_SILENT));
+    seen.require(silent.is_some(), "no message tells that the camera is silent");
+    std::thread::sleep(Duration::from_secs(2));
+    let back = crate::clock::now_micros();
+    feed.switches.set_camera(CameraFault::None);
+    let first = listener
+        .wait_for(Duration::from_secs(5), |heard| heard.is_good(STANDING))
+        .ok_or_else(|| BenchError::NoAnswer(module.last_words()))?;
+    seen.recovery_s = Some(since(back, first.at_micros));
+    let bench = Bench {
+        rig: rig.clone(),
+        road,
+        listener,
+        feed,
+        module,
+        first,
+        started_micros,
+    };
+    finish(bench, Blind::default(), seen)
+}
+
+fn clock_step(rig: &Rig) -> Result<Seen, BenchError> {
+    if !rig.owns_kernel {
+        return Err(BenchError::Lacking("the clock of a machine in use is not stepped".to_owned()));
+    }
+    let step = |seconds: &'static str| move |_: &mut Bench| command("date", &["-s", seconds]);
+    let script = Script {
+        begin: Box::new(step("+1 hour")),
+        end: Box::new(step("-1 hour")),
+        best: Some(freespace::health::QualityLevel::Full),
+        ..Script::default()
+    };
+    drive(rig, &script)
+}
+
+fn sigterm(rig: &Rig) -> Result<Seen, BenchError> {
+    let bench = Bench::start(rig, &[], None)?;
+    std::thread::sleep(Duration::from_secs(2));
+    let begin = Instant::now();
+    let mut seen = finish(bench, Blind::default(), Seen::default())?;
+    let seconds = begin.elapsed().as_secs_f64();
+    seen.require(seconds < 1.0, format!("it took {seconds:.2} s to end"));
+    Ok(seen)
+}
+
+fn sigkill(rig: &Rig) -> Result<Seen, BenchError> {
+    let mut bench = Bench::start(rig, &[], None)?;
+    let mut seen = Seen::default();
+    std::thread::sleep(Duration::from_secs(2));
+    bench.module.signal(Signal::KILL);
+    bench.module.wait(Duration::from_secs(2));
+    let restarted = crate::clock::now_micros();
+    bench.module = Module::start(&rig.installation, None, &rig.file("module.log"))?;
+    match bench.listener.wait_for(Duration::from_secs(8), |heard| heard.is_good(STANDING)) {
+        Some(heard) => {
+            let seconds = since(restarted, heard.at_micros);
+            seen.recovery_s = Some(seconds);
+            seen.require(seconds < 5.0, format!("the first good grid took {seconds:.1} s"));
+        }
+        None => seen.require(false, "no good answer after the restart"),
+    }
+    std::thread::sleep(Duration::from_secs(2));
+    finish(bench, Blind { spots: true }, seen)
+}
+
+fn disk_full(rig: &Rig) -> Result<Seen, BenchError> {
+    if !rig.owns_kernel {
+        return Err(BenchError::Lacking("no small disk is mounted on a machine in use".to_owned()));
+    }
+    let disk = rig.file("disk");
+    std::fs::create_dir_all(&disk)?;
+    let at = disk.to_string_lossy().into_owned();
+    command("mount", &["-t", "tmpfs", "-o", "size=2m", "disk", &at])?;
+    let bench = Bench::start(rig, &[], Some(&disk.join("drive")))?;
+    let mut seen = Seen::default();
+    std::thread::sleep(Duration::from_secs(8));
+    all_good_since(&bench, bench.first.at_micros, &mut seen);
+    let log = rig.file("module.log");
+    let mut kept = finish(bench, Blind::default(), seen)?;
+    // A run whose recording is lost ends with an error, which SIGTERM does not make good.
+    kept.broken.retain(|broken| !broken.starts_with("SIGTERM ended it"));
+    let told = std::fs::read_to_string(&log)?.contains("No space left");
+    kept.require(told, "the full disk is not told");
+    Ok(kept)
+}
+
+/// Growth of the resident memory that is noise, kB.
+const FLAT_KB: u64 = 1024;
+
+fn soak(rig: &Rig, seconds: u64) -> Result<Seen, BenchError> {
+    let bench = Bench::start(rig, &[], None)?;
+    let mut seen = Seen::default();
+    std::thread::sleep(Duration::from_secs(10));
+    let before = bench.module.resident_kb();
+    std::thread::sleep(Duration::from_secs(seconds.saturating_sub(10)));
+    let after = bench.module.resident_kb();
+    if let (Some(before), Some(after)) = (before, after) {
+        let growth = after.saturating_sub(before);
+        seen.note(format!("memory grew by {growth} kB of {after}"));
+        seen.require(growth < FLAT_KB, format!("memory grew by {growth} kB"));
+    }
+    all_good_since(&bench, bench.first.at_micros, &mut seen);
+    finish(bench, Blind::default(), seen)
+}

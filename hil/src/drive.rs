@@ -1,0 +1,132 @@
+//! A drive with one fault in it: steady, then the fault, then the recovery, then the end as a service ends.
+
+use std::process::ExitStatus;
+use std::time::Duration;
+
+use freespace::health::{Faults, QualityLevel};
+use freespace_platform::world::Slip;
+
+use crate::bench::{Bench, BenchError, Rig, STANDING};
+use crate::case::Seen;
+use crate::clock::now_micros;
+use crate::listener::{Heard, candump};
+use crate::promise::{Blind, judge};
+use crate::truth;
+
+/// Something done to the bench.
+pub(crate) type Action = Box<dyn Fn(&mut Bench) -> Result<(), BenchError>>;
+
+/// What is done to the drive, and what of it must be seen.
+pub(crate) struct Script {
+    /// How long the fault lasts.
+    pub(crate) fault_s: f64,
+    /// Begins the fault.
+    pub(crate) begin: Action,
+    /// Ends it.
+    pub(crate) end: Action,
+    /// Faults, all of which the answers must name while it lasts.
+    pub(crate) named: Faults,
+    /// Best level that an answer may claim once the fault was named; none where it costs nothing.
+    pub(crate) best: Option<QualityLevel>,
+    /// Time from its end to a good answer.
+    pub(crate) recovers_s: f64,
+    pub(crate) slips: &'static [Slip],
+    pub(crate) blind: Blind,
+}
+
+impl Default for Script {
+    fn default() -> Self {
+        Self {
+            fault_s: 4.0,
+            begin: Box::new(|_| Ok(())),
+            end: Box::new(|_| Ok(())),
+            named: Faults::NONE,
+            best: None,
+            recovers_s: 3.0,
+            slips: &[],
+            blind: Blind::default(),
+        }
+    }
+}
+
+/// A steady drive before the fault, and after the recovery.
+const STEADY: Duration = Duration::from_secs(2);
+
+/// Drives through a script.
+pub(crate) fn drive(rig: &Rig, script: &Script) -> Result<Seen, BenchError> {
+    let mut bench = Bench::start(rig, script.slips, None)?;
+    let mut seen = Seen::default();
+    std::thread::sleep(STEADY);
+    let begin = now_micros();
+    (script.begin)(&mut bench)?;
+    std::thread::sleep(Duration::from_secs_f64(script.fault_s));
+    seen.require(bench.module.is_running(), "the module ended");
+    let end = now_micros();
+    (script.end)(&mut bench)?;
+    recover(&bench, script, end, &mut seen);
+    std::thread::sleep(STEADY);
+    let during: Vec<_> = bench.listener.heard().into_iter().filter(|heard| (begin..end).contains(&heard.at_micros)).collect();
+    let named = during.iter().fold(Faults::NONE, |all, heard| all | heard.faults);
+    let missing = Faults(script.named.0 & !named.0);
+    seen.require(missing.is_empty(), format!("no answer named {}", names(missing)));
+    if let Some(best) = script.best {
+        let marked = during.iter().skip_while(|heard| heard.faults.0 & script.named.0 == 0);
+        let proud = marked.filter(|heard| heard.level < best && heard.faults.0 & script.named.0 == 0).count();
+        seen.require(proud == 0, format!("{proud} answers better than {}", best.name()));
+    }
+    let worst = during.iter().map(|heard| heard.level).max();
+    if let Some(worst) = worst {
+        seen.note(format!("{} answers meanwhile, {} at worst, named {}", during.len(), worst.name(), names(named)));
+    }
+    finish(bench, script.blind, seen)
+}
+
+fn recover(bench: &Bench, script: &Script, end: u64, seen: &mut Seen) {
+    let at_most = Duration::from_secs_f64(script.recovers_s);
+    match bench.listener.wait_for(at_most, |heard| heard.is_good(STANDING)) {
+        Some(heard) => {
+            #[expect(clippy::cast_precision_loss, reason = "seconds")]
+            let seconds = (heard.at_micros - end) as f64 * 1e-6;
+            seen.recovery_s = Some(seconds);
+        }
+        None => {
+            let last = bench.listener.heard().last().map(|heard| (heard.level.name(), names(heard.faults)));
+            seen.require(false, format!("no good answer within {} s: {last:?}", script.recovers_s));
+        }
+    }
+}
+
+/// Ends the module as a service would be ended, and looks at the whole drive.
+pub(crate) fn finish(bench: Bench, blind: Blind, mut seen: Seen) -> Result<Seen, BenchError> {
+    let Bench { rig, road, listener, feed, module, .. } = bench;
+    let words = module.last_words();
+    let status = module.end();
+    std::thread::sleep(Duration::from_millis(100));
+    let frames = listener.frames();
+    let heard = listener.heard();
+    last_word(status, &heard, &words, &mut seen);
+    let kept = judge(&heard[..heard.len().saturating_sub(1)], blind);
+    seen.note(format!("{} answers, latest {:.0} ms", kept.answers, kept.latest_ms));
+    seen.broken.extend(kept.broken);
+    truth::judge(&frames, &road, &feed, &mut seen);
+    std::fs::write(rig.file("bus.candump"), candump(&frames, &rig.interface))?;
+    Ok(seen)
+}
+
+/// The module ended well, and its last message says so.
+pub(crate) fn last_word(status: Option<ExitStatus>, heard: &[Heard], words: &str, seen: &mut Seen) {
+    seen.require(
+        status.is_some_and(|status| status.success()),
+        format!("SIGTERM ended it with {status:?}: {words}"),
+    );
+    let is_last_word = heard.last().is_some_and(|last| {
+        last.level == QualityLevel::Invalid && last.faults.contains(Faults::SHUTTING_DOWN)
+    });
+    seen.require(is_last_word, "the last message is not the invalid one of a shut-down");
+}
+
+/// Names of faults, for the table.
+pub(crate) fn names(faults: Faults) -> String {
+    let names: Vec<_> = Faults(faults.0 & !STANDING.0).names().collect();
+    if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
+}

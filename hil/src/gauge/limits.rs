@@ -1,0 +1,91 @@
+//! Two plays against each other and against the limits that are kept in a file.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::Figures;
+
+/// What is compared.
+#[derive(Args)]
+pub(crate) struct CheckArgs {
+    /// Figures of the play on an idle host.
+    idle: PathBuf,
+    /// Figures of the play beside a load.
+    loaded: PathBuf,
+    /// The limits: a figures file that no figure may exceed.
+    #[arg(long, value_name = "FILE", default_value = "hil/gauge.json")]
+    limits: PathBuf,
+}
+
+/// Two plays differ by less: the counted clock does not see the host.
+const SAME: f64 = 0.01;
+/// A figure smaller than this is decided by the microsecond that it is rounded to, thousands of instructions.
+const SMALL: f64 = 200.0;
+
+/// Prints the table; whether the plays agree and keep the limits.
+pub(crate) fn check(args: &CheckArgs) -> bool {
+    let read = |path: &Path| -> Option<Figures> {
+        let text = std::fs::read_to_string(path).ok()?;
+        serde_json::from_str(&text).ok()
+    };
+    let (Some(idle), Some(loaded), Some(limits)) = (read(&args.idle), read(&args.loaded), read(&args.limits)) else {
+        eprintln!("gauge: figures or limits cannot be read");
+        return false;
+    };
+    let mut is_well = true;
+    println!("{:<22}{:>12}{:>12}{:>9}{:>12}", "thousand instructions", "idle", "loaded", "apart", "limit");
+    for (name, idle, loaded, limit) in rows(&idle, &loaded, &limits) {
+        let apart = (idle - loaded).abs() / idle.max(loaded).max(f64::MIN_POSITIVE);
+        let agrees = apart <= SAME || idle.max(loaded) < SMALL;
+        let keeps = idle <= limit && loaded <= limit;
+        let verdict = match (agrees, keeps) {
+            (true, true) => "",
+            (false, _) => "  APART",
+            (true, false) => "  OVER",
+        };
+        is_well &= agrees && keeps;
+        println!("{name:<22}{idle:>12.0}{loaded:>12.0}{:>8.2}%{limit:>12.0}{verdict}", 100.0 * apart);
+    }
+    println!("{} and {} key frames, {} and {} misses", idle.key_frames, loaded.key_frames, idle.misses, loaded.misses);
+    if idle.network_is_recorded {
+        println!("the network's answers were recorded: *segmentation* is what is left without it");
+    }
+    is_well && idle.misses + loaded.misses == 0
+}
+
+type Line = (String, f64, f64, f64);
+
+fn rows(idle: &Figures, loaded: &Figures, limits: &Figures) -> Vec<Line> {
+    let of = |figures: &Figures, name: &str| {
+        let found = figures.stages.iter().find(|(stage, _)| stage == name);
+        found.map_or(f64::NAN, |(_, value)| *value)
+    };
+    let stages = idle.stages.iter().map(|(name, value)| (name.clone(), *value, of(loaded, name), of(limits, name)));
+    let latency = [
+        ("capture to CAN p50", idle.capture_to_can_p50, loaded.capture_to_can_p50, limits.capture_to_can_p50),
+        ("capture to CAN p99", idle.capture_to_can_p99, loaded.capture_to_can_p99, limits.capture_to_can_p99),
+        ("capture to CAN max", idle.capture_to_can_max, loaded.capture_to_can_max, limits.capture_to_can_max),
+    ];
+    let latency = latency.map(|(name, idle, loaded, limit)| (name.to_owned(), idle, loaded, limit));
+    stages.chain(latency).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn figures(stage: f64) -> Figures {
+        Figures {
+            stages: vec![("map".to_owned(), stage)],
+            ..Figures::default()
+        }
+    }
+
+    #[test]
+    fn a_stage_that_the_limits_do_not_know_keeps_no_limit() {
+        let unknown = Figures::default();
+        let row = &rows(&figures(1000.0), &figures(1000.0), &unknown)[0];
+        assert!(!(row.1 <= row.3));
+    }
+}

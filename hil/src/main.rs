@@ -1,0 +1,152 @@
+//! The hardware-in-the-loop rig: the installed program behind a real kernel's camera and CAN bus, and what it must survive there.
+//!
+//! `hil/rig` builds what is needed and calls this program: once on the machine itself, to run the cases and print their table,
+//! and once a case inside the kernel that is driven on.
+
+mod bench;
+mod case;
+mod cases;
+mod clock;
+mod direct;
+mod drive;
+mod fault;
+mod feed;
+mod gauge;
+mod host;
+mod listener;
+mod module;
+mod promise;
+mod road;
+mod table;
+mod truth;
+mod wheel_frame;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::bench::Rig;
+use crate::module::Installation;
+
+/// The hardware-in-the-loop rig of freespace.
+#[derive(Parser)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// List the cases.
+    List,
+    /// Run cases, each in a kernel of its own, and print their table.
+    Run(host::RunArgs),
+    /// Run one case on this kernel's devices; the last line is its row as JSON.
+    Case {
+        /// Name.
+        name: String,
+        #[command(flatten)]
+        devices: DeviceArgs,
+    },
+    /// Record the tape of the gauge.
+    GaugeRecord(gauge::RecordArgs),
+    /// Play the tape to the module, in the kernel that counts.
+    GaugePlay(gauge::PlayArgs),
+    /// Compare two plays with each other and with the limits.
+    GaugeCheck(gauge::CheckArgs),
+    /// Read a bus until killed.
+    Listen {
+        /// CAN interface.
+        interface: String,
+    },
+}
+
+/// Where things are.
+#[derive(Args, Clone)]
+struct DeviceArgs {
+    /// The program `freespace`.
+    #[arg(long, default_value = "target/release/freespace")]
+    module: PathBuf,
+    /// Its configuration.
+    #[arg(long, default_value = "config/car.toml")]
+    config: PathBuf,
+    /// V4L2 loopback device.
+    #[arg(long, default_value = "/dev/video0")]
+    camera: PathBuf,
+    /// CAN interface.
+    #[arg(long, default_value = "can0")]
+    can: String,
+    /// Folder for the case's files; made where it is not.
+    #[arg(long, default_value = "target/rig/out")]
+    out: PathBuf,
+    /// Seed of the road.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// The kernel is a test kernel: its clock may be stepped, disks mounted.
+    #[arg(long)]
+    own_kernel: bool,
+}
+
+impl DeviceArgs {
+    fn rig(&self, case: &str) -> Rig {
+        Rig {
+            installation: Installation {
+                program: self.module.clone(),
+                config: self.config.clone(),
+            },
+            device: self.camera.clone(),
+            interface: self.can.clone(),
+            folder: self.out.join(case),
+            seed: self.seed,
+            owns_kernel: self.own_kernel,
+        }
+    }
+}
+
+fn main() -> ExitCode {
+    let is_well = match Cli::parse().command {
+        Command::List => {
+            for case in cases::all() {
+                println!("{:<18} {}", case.name, case.injected);
+            }
+            true
+        }
+        Command::Run(args) => host::run(&args),
+        Command::Case { name, devices } => run_case(&name, &devices),
+        Command::GaugeRecord(args) => gauge::record(&args),
+        Command::GaugePlay(args) => gauge::play(&args),
+        Command::GaugeCheck(args) => gauge::check(&args),
+        Command::Listen { interface } => listen(&interface),
+    };
+    if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn run_case(name: &str, devices: &DeviceArgs) -> bool {
+    let Some(case) = cases::all().find(|case| case.name == name) else {
+        eprintln!("there is no case `{name}`; `list` names them");
+        return false;
+    };
+    let rig = devices.rig(name);
+    if let Err(error) = std::fs::create_dir_all(&rig.folder) {
+        eprintln!("{}: cannot be made: {error}", rig.folder.display());
+        return false;
+    }
+    let row = case.row(&rig);
+    // A row always has a JSON form.
+    println!("{}", serde_json::to_string(&row).unwrap_or_default());
+    row.verdict != case::Verdict::Failed
+}
+
+fn listen(interface: &str) -> bool {
+    match listener::Listener::start(interface) {
+        Ok(_listener) => loop {
+            std::thread::sleep(Duration::from_secs(1));
+        },
+        Err(error) => {
+            eprintln!("{interface}: {error}");
+            false
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! The simulated road as a camera and a car's brake controller would give it: YUYV pictures and wheel counters.
+//!
+//! In: the configuration that the module runs with, and a seed. Out: picture `n` at `n / rate` seconds and reading `n`, both
+//! depending on their number alone. Pictures are rendered ahead on a thread of normal priority and wait in a short queue.
+
+use std::sync::Arc;
+use std::sync::mpsc::{SyncSender, sync_channel};
+
+use freespace::frame::{Camera, RgbImage};
+use freespace::track::{WheelConfig, WheelReading};
+use crate::feed::Show;
+use freespace_platform::world::{
+    Encoders, Sensor, SimCamera, SimWheels, Slip, Textures, World, WorldConfig,
+};
+
+/// Pictures rendered ahead: a third of a second.
+const AHEAD: usize = 10;
+
+/// What drives where.
+#[derive(Clone)]
+pub(crate) struct Road {
+    pub(crate) world: Arc<World>,
+    pub(crate) camera: Camera,
+    pub(crate) rate_hz: f64,
+    pub(crate) wheels: Arc<SimWheels>,
+    pub(crate) wheel_period_micros: u64,
+}
+
+impl Road {
+    pub(crate) fn new(seed: u64, camera: &Camera, rate_hz: f64, odometer: &WheelConfig, slips: &[Slip]) -> Self {
+        let config = WorldConfig {
+            seed,
+            track_m: odometer.track_m,
+            ..WorldConfig::default()
+        };
+        let encoders = Encoders {
+            seed,
+            metres_per_count: odometer.metres_per_count,
+            modulus: odometer.modulus,
+            jitter_micros: 0,
+            slips: slips.to_vec(),
+            ..Encoders::default()
+        };
+        Self {
+            world: Arc::new(World::new(&config, &Arc::new(Textures::new()))),
+            camera: *camera,
+            rate_hz,
+            wheel_period_micros: encoders.period_micros,
+            wheels: Arc::new(SimWheels::new(&encoders)),
+        }
+    }
+
+    /// What is fed of it: rendered ahead, on a thread that ends when the show is dropped.
+    pub(crate) fn show(&self) -> std::io::Result<Show> {
+        let (send, receive) = sync_channel(AHEAD);
+        let road = self.clone();
+        std::thread::Builder::new()
+            .name("road".to_owned())
+            .spawn(move || road.render(&send))?;
+        let road = self.clone();
+        Ok(Show {
+            width: self.camera.width,
+            height: self.camera.height,
+            rate_hz: self.rate_hz,
+            wheel_period_micros: self.wheel_period_micros,
+            picture: Box::new(move |_| receive.recv().ok()),
+            counts: Box::new(move |number| road.counts(number)),
+        })
+    }
+
+    /// Wheel counts of reading `number`.
+    pub(crate) fn counts(&self, number: u64) -> Option<[u32; 4]> {
+        match self.wheels.reading(&self.world, number) {
+            WheelReading::Counts { counts, .. } => Some(counts),
+            WheelReading::Speeds { .. } => None,
+        }
+    }
+
+    /// Seconds of the world at picture `number`.
+    #[expect(clippy::cast_precision_loss, reason = "a drive of minutes")]
+    pub(crate) fn picture_seconds(&self, number: u64) -> f64 {
+        picture_micros(number, self.rate_hz) as f64 * 1e-6
+    }
+
+    fn render(&self, send: &SyncSender<Vec<u8>>) {
+        let mut camera = SimCamera::new(&self.camera, &Sensor::default());
+        let mut picture = RgbImage::new(self.camera.width, self.camera.height);
+        for number in 0.. {
+            camera.render(&self.world, self.picture_seconds(number), &mut picture);
+            if send.send(yuyv(picture.pixels())).is_err() {
+                return;
+            }
+        }
+    }
+}
+
+/// When picture `number` is taken, microseconds after the start of the drive.
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a drive of minutes"
+)]
+pub(crate) fn picture_micros(number: u64, rate_hz: f64) -> u64 {
+    (number as f64 / rate_hz * 1e6).round() as u64
+}
+
+/// A black picture.
+pub(crate) fn black(width: usize, height: usize) -> Vec<u8> {
+    [16, 128].repeat(width * height)
+}
+
+/// RGB to YUYV, ITU-R BT.601 in limited range; two pixels share the mean of their chroma.
+pub(crate) fn yuyv(rgb: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(rgb.len() / 3 * 2);
+    for pair in rgb.chunks_exact(6) {
+        let [a, b] = [&pair[..3], &pair[3..]].map(|p| [p[0], p[1], p[2]].map(i32::from));
+        let mean = [0, 1, 2].map(|c| (a[c] + b[c] + 1) / 2);
+        out.extend([luma(a), chroma_blue(mean), luma(b), chroma_red(mean)]);
+    }
+    out
+}
+
+fn luma([r, g, b]: [i32; 3]) -> u8 {
+    byte(((66 * r + 129 * g + 25 * b + 128) >> 8) + 16)
+}
+
+fn chroma_blue([r, g, b]: [i32; 3]) -> u8 {
+    byte(((-38 * r - 74 * g + 112 * b + 128) >> 8) + 128)
+}
+
+fn chroma_red([r, g, b]: [i32; 3]) -> u8 {
+    byte(((112 * r - 94 * g - 18 * b + 128) >> 8) + 128)
+}
+
+fn byte(value: i32) -> u8 {
+    u8::try_from(value.clamp(0, 255)).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use freespace::frame::{PixelFormat, RawFrame, RgbImage};
+    use freespace::space::Micros;
+
+    use super::yuyv;
+
+    /// The module must see the colours that were rendered: within rounding and the chroma of two pixels.
+    #[test]
+    fn a_picture_survives_its_way_through_yuyv() {
+        let rgb: Vec<u8> = (0..64_u8).flat_map(|i| [i * 3, 255 - i * 2, 60 + i, i * 3, 255 - i * 2, 60 + i]).collect();
+        let mut back = RgbImage::new(128, 1);
+        let raw = RawFrame {
+            stamp: Micros(0),
+            format: PixelFormat::Yuyv,
+            width: 128,
+            height: 1,
+            bytes: &yuyv(&rgb),
+        };
+        raw.rgb_into(&mut back).unwrap();
+        for (sent, seen) in rgb.iter().zip(back.pixels()) {
+            assert!(sent.abs_diff(*seen) <= 4, "{sent} became {seen}");
+        }
+    }
+}
