@@ -35,7 +35,11 @@ class Frame:
 
 def read_log(path: str, bus: str | None, identifiers: set[int]) -> list[Frame]:
     frames = []
-    for number, text in enumerate(Path(path).read_text().splitlines(), 1):
+    try:
+        lines = Path(path).read_text().splitlines()
+    except OSError as error:
+        raise SystemExit(f"can_frames: {path}: {error.strerror}") from error
+    for number, text in enumerate(lines, 1):
         match = LINE.match(text.strip())
         if not match:
             if "#R" in text or not text.strip():

@@ -8,6 +8,8 @@ rig_name=$(basename "$0")
 # Files of a build belong to whoever runs it, and no locale changes what a tool prints.
 export LC_ALL=C.UTF-8
 umask 022
+# A command that fails inside $(...) ends that too.
+shopt -s inherit_errexit
 
 fail() {
     echo "$rig_name: $1" >&2
@@ -37,11 +39,15 @@ recipe_key() {
 
 # The folders of the two kernels: the scripts that build and those that run must agree on them.
 uml_cache() {
-    echo "$(cache_folder)/uml-$(recipe_key build-uml uml.config packages.bash)"
+    local cache
+    cache=$(cache_folder)
+    echo "$cache/uml-$(recipe_key build-uml uml.config packages.bash)"
 }
 
 rt_cache() {
-    echo "$(cache_folder)/rt-$(recipe_key build-rt rt-init packages.bash)"
+    local cache
+    cache=$(cache_folder)
+    echo "$cache/rt-$(recipe_key build-rt rt-init packages.bash)"
 }
 
 require_root() {
