@@ -2,5 +2,6 @@
 
 pub mod replay;
 mod sim;
+pub mod v4l2;
 
 pub use sim::{SimFrames, seconds_at};

@@ -6,7 +6,7 @@ use freespace::frame::{BrownConrady, KannalaBrandt, Lens};
 use freespace::space::Mount;
 use serde::Deserialize;
 
-use super::{ImageSize, Invalid, within};
+use super::{DeviceSection, ImageSize, Invalid, within};
 use crate::bad_input::{BadInput, read_text};
 
 /// What the config says of the camera.
@@ -23,6 +23,8 @@ pub struct CameraSection {
     pub mount: Mount,
     /// Lens.
     pub lens: LensSection,
+    /// The camera of this computer; none where frames come from elsewhere.
+    pub device: Option<DeviceSection>,
 }
 
 /// Three ways to say what the lens is: `model` with its numbers, `hfov_deg`, or `source`.
@@ -95,6 +97,9 @@ impl CameraSection {
         within("camera.mount.pitch_rad", mount.pitch_rad, -0.8..=0.8, "radians")?;
         within("camera.mount.yaw_rad", mount.yaw_rad, -0.8..=0.8, "radians")?;
         within("camera.mount.roll_rad", mount.roll_rad, -0.8..=0.8, "radians")?;
+        if let Some(device) = &self.device {
+            device.check(self.size().is_some())?;
+        }
         self.lens.check(self.size().is_some())
     }
 }

@@ -5,12 +5,14 @@
 //! the line and the fix. `config/freespace.schema.json` describes the same keys for editors.
 
 mod camera;
+mod device;
 mod document;
 mod runtime;
 mod stages;
 mod wheels;
 
 pub use camera::{CameraSection, LensModel, LensSection};
+pub use device::{ControlValue, DeviceFormat, DeviceSection};
 pub use runtime::{PolicyName, RuntimeSection, ThreadSection};
 pub use wheels::{CanWheels, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection};
 
