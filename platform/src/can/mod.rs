@@ -9,6 +9,7 @@
 //! `outbox` and `reports` are its parts, testable without a kernel.
 
 mod back_off;
+mod catalogue;
 mod counters;
 mod link;
 mod monitor;
@@ -21,6 +22,7 @@ mod stamp;
 mod thread;
 mod wire;
 
+pub use catalogue::{Catalogue, CatalogueMessage, SignalValue};
 pub use counters::{CanCounts, CanEvent, CanListener, CanTrace};
 pub use monitor::{CanMonitor, MonitoredFrame};
 pub use plan::{CanPlan, CanWheelsPlan};

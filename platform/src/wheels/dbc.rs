@@ -7,12 +7,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use can_dbc::{ByteOrder, Dbc, Message, MessageId, MultiplexIndicator, NumericValue, Signal, ValueType};
+use can_dbc::{Dbc, Message, MessageId, MultiplexIndicator, Signal};
 use freespace::space::Micros;
 use freespace::track::WheelReading;
 use serde::Deserialize;
 
 use super::integrity::{AliveCounter, Checksum, ChecksumAlgorithm, ChecksumMapping};
+use super::signal::Field;
 
 /// How many like names an error lists.
 const NAMES_LISTED: usize = 12;
@@ -168,38 +169,35 @@ pub enum MappingError {
 
 /// Why a wheel message gave no reading; the caller counts it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+#[error("{}", self.name())]
 pub enum DecodeFault {
     /// Fewer bytes than the signals need.
-    #[error("shorter than its signals need")]
     Short,
     /// The car's own fault flag of a wheel is set.
-    #[error("a wheel's fault flag is set")]
     Flagged,
     /// A speed beyond the DBC's range: the code for "not available" lies there.
-    #[error("a speed beyond the range of the DBC")]
     OutOfRange,
     /// The message is damaged, or another sender's.
-    #[error("the check sum is wrong")]
     Checksum,
     /// The message is the last one again.
-    #[error("the alive counter stands still")]
     CounterStuck,
     /// More messages are missing than may be lost, or two senders take turns.
-    #[error("the alive counter leaps")]
     CounterJumped,
 }
 
-/// Where a signal lies.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Field {
-    start: usize,
-    size: usize,
-    big_endian: bool,
-    signed: bool,
-    factor: f64,
-    offset: f64,
-    /// Largest magnitude, in the signal's unit.
-    limit: f64,
+impl DecodeFault {
+    /// The words of its display, without allocation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Short => "shorter than its signals need",
+            Self::Flagged => "a wheel's fault flag is set",
+            Self::OutOfRange => "a speed beyond the range of the DBC",
+            Self::Checksum => "the check sum is wrong",
+            Self::CounterStuck => "the alive counter stands still",
+            Self::CounterJumped => "the alive counter leaps",
+        }
+    }
 }
 
 /// Decodes one message into wheel readings.
@@ -374,51 +372,6 @@ impl WheelDecoder {
     }
 }
 
-impl Field {
-    /// Bytes from the frame's start to the signal's last one.
-    fn bytes_needed(&self) -> usize {
-        let last = if self.big_endian {
-            // The start is the most significant bit; from bit 0 of a byte the signal goes on at bit 7 of the next.
-            (self.start / 8) * 8 + (7 - self.start % 8) + self.size - 1
-        } else {
-            self.start + self.size - 1
-        };
-        last / 8 + 1
-    }
-
-    /// The signal's bits; the caller has checked the length.
-    fn raw(&self, data: &[u8]) -> u64 {
-        let bit = |at: usize| u64::from(data[at / 8] >> (at % 8) & 1);
-        let mut value = 0;
-        if self.big_endian {
-            let first = (self.start / 8) * 8 + (7 - self.start % 8);
-            for at in first..first + self.size {
-                value = value << 1 | bit(at / 8 * 8 + (7 - at % 8));
-            }
-        } else {
-            for at in (self.start..self.start + self.size).rev() {
-                value = value << 1 | bit(at);
-            }
-        }
-        value
-    }
-
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "speed signals have far fewer than 52 bits"
-    )]
-    fn physical(&self, data: &[u8]) -> f64 {
-        let raw = self.raw(data);
-        let value = if self.signed {
-            let unused = 64 - self.size;
-            ((raw << unused).cast_signed() >> unused) as f64
-        } else {
-            raw as f64
-        };
-        value * self.factor + self.offset
-    }
-}
-
 /// The message that the mapping names.
 struct Source<'a> {
     file: &'a Path,
@@ -465,26 +418,12 @@ impl Source<'_> {
                 "name an integer signal",
             ));
         }
-        let size = usize::try_from(signal.size).unwrap_or(usize::MAX);
-        let start = usize::try_from(signal.start_bit).unwrap_or(usize::MAX);
-        let fix = "correct the signal's start and length in the DBC";
-        if !(1..=64).contains(&size) || start >= 512 {
+        let Some(field) = Field::of(signal) else {
             return Err(self.unusable(
                 name,
                 format!("{} bits at {} are no signal", signal.size, signal.start_bit),
-                fix,
+                "correct the signal's start and length in the DBC",
             ));
-        }
-        let limit = number(&signal.min).abs().max(number(&signal.max).abs());
-        let field = Field {
-            start,
-            size,
-            big_endian: signal.byte_order == ByteOrder::BigEndian,
-            signed: signal.value_type == ValueType::Signed,
-            factor: signal.factor,
-            offset: signal.offset,
-            // A range of [0|0] states none.
-            limit: if limit > 0.0 { limit } else { f64::INFINITY },
         };
         if field.bytes_needed() as u64 > self.message.size {
             let problem = format!(
@@ -492,6 +431,7 @@ impl Source<'_> {
                 field.bytes_needed(),
                 self.message.size
             );
+            let fix = "correct the signal's start and length in the DBC";
             return Err(self.unusable(name, problem, fix));
         }
         Ok(field)
@@ -591,15 +531,6 @@ impl Source<'_> {
             problem,
             fix,
         }
-    }
-}
-
-#[expect(clippy::cast_precision_loss, reason = "a range is stated in a few digits")]
-fn number(value: &NumericValue) -> f64 {
-    match *value {
-        NumericValue::Uint(value) => value as f64,
-        NumericValue::Int(value) => value as f64,
-        NumericValue::Double(value) => value,
     }
 }
 

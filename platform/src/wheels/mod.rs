@@ -7,6 +7,7 @@ pub mod candump;
 pub mod candump_line;
 pub mod dbc;
 pub mod integrity;
+pub(crate) mod signal;
 mod sim;
 mod socketcan;
 
