@@ -6,6 +6,7 @@
 
 mod camera;
 mod device;
+mod can;
 mod document;
 mod runtime;
 mod stages;
@@ -13,8 +14,11 @@ mod wheels;
 
 pub use camera::{CameraSection, LensModel, LensSection};
 pub use device::{ControlValue, DeviceFormat, DeviceSection};
+pub use can::{CanOut, CanSection};
 pub use runtime::{PolicyName, RuntimeSection, ThreadSection};
-pub use wheels::{CanWheels, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection};
+pub use wheels::{
+    CanWheels, ChecksumSection, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection,
+};
 
 use std::path::{Path, PathBuf};
 
@@ -43,6 +47,9 @@ pub struct Config {
     /// Wheel encoders; none without this table.
     #[serde(default)]
     pub wheels: WheelsSection,
+    /// What is sent on CAN; nothing without this table.
+    #[serde(default)]
+    pub can: CanSection,
     /// Segmentation network.
     pub network: NetworkSection,
     /// When a frame becomes a key frame.
@@ -253,7 +260,8 @@ impl Config {
                 "pixels",
             )?;
         }
-        self.check_stages()
+        self.check_stages()?;
+        self.plan_can().map(drop)
     }
 
     /// Slices of the deadline.

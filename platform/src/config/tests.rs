@@ -210,6 +210,36 @@ fn contradictions_are_refused() {
             "[priors.belief]\nwitness_against = 3.0\n[network]",
             "`priors.belief.witness_against` is 3",
         ),
+        (
+            "toyota",
+            "source = \"can\"",
+            "source = \"can\"\nchecksum = { signal = \"S\", algorithm = \"autosar_e2e_p01\" }",
+            "`wheels.checksum` lacks `data_id`",
+        ),
+        (
+            "toyota",
+            "source = \"can\"",
+            "source = \"can\"\ninterface = \"can 0\"",
+            "`wheels.interface` is \"can 0\"",
+        ),
+        (
+            "demo",
+            "[network]",
+            "[can]\ninterface = \"can0\"\ngrid = true\n[network]",
+            "`can.fd` is not",
+        ),
+        (
+            "demo",
+            "[network]",
+            "[can]\ninterface = \"can0\"\nfd = true\ngrid = true\nshare = 0.1\n[network]",
+            "take 18 % of the bus",
+        ),
+        (
+            "demo",
+            "[network]",
+            "[can]\nbit_rate = 2000000\n[network]",
+            "`can.bit_rate` is 2000000",
+        ),
     ];
     for (name, from, to, message) in cases {
         assert!(shipped(name).contains(from), "{name} has no {from}");
@@ -230,8 +260,11 @@ fn known_keys(text: &str) -> BTreeSet<String> {
 fn schema_has_the_keys_that_the_program_knows() {
     let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
     let text = format!(
-        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n",
-        shipped("kitti")
+        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n[can]\n",
+        shipped("kitti").replace(
+            "[wheels]\n",
+            "[wheels]\nchecksum = { signal = \"S\", algorithm = \"xor\" }\n"
+        )
     );
     let cases = [
         ("", "zzz = 1\n[camera]", "[camera]"),
@@ -245,6 +278,8 @@ fn schema_has_the_keys_that_the_program_knows() {
             "[wheels.direction]\nzzz = 1",
             "[wheels.direction]",
         ),
+        ("/can", "[can]\nzzz = 1", "[can]"),
+        ("/wheels/checksum", "checksum = { zzz = 1, ", "checksum = { "),
         ("/network", "[network]\nzzz = 1", "[network]"),
         ("/key_frames", "[key_frames]\nzzz = 1", "[key_frames]"),
         ("/deadline", "[deadline]\nzzz = 1", "[deadline]"),
