@@ -17,9 +17,7 @@ use freespace_platform::clock::MonotonicClock;
 use freespace_platform::config::{Config, Wheels};
 use freespace_platform::eval::{npy, trajectory};
 use freespace_platform::runtime::memory::MemoryPlan;
-use freespace_platform::runtime::{
-    Devices, FrameReport, KeyFrameReport, Observer, Setup, run_in_lockstep,
-};
+use freespace_platform::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup, run_in_lockstep};
 use freespace_platform::segmenter::{self, EngineChoice, Manifest, Segmenter};
 use freespace_platform::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
 use freespace_platform::world::{Sensor, SimCamera};
@@ -53,28 +51,50 @@ pub(crate) fn case(rig: &Rig) -> Result<Seen, BenchError> {
     let stamps = micros_of(driven.stamps_s.as_deref().unwrap_or_default());
     scale(&road, start_micros, &stamps, &driven.poses, &mut seen);
     let frames = pair(&stamps, &sent);
-    seen.require(frames.len() == stamps.len(), format!("{} of {} frames were sent by nobody", stamps.len() - frames.len(), stamps.len()));
+    seen.require(
+        frames.len() == stamps.len(),
+        format!(
+            "{} of {} frames were sent by nobody",
+            stamps.len() - frames.len(),
+            stamps.len()
+        ),
+    );
     let direct = replay(rig, &road, frames, &log)?;
     compare(&record, &direct, &mut seen)?;
     Ok(seen)
 }
 
 /// The file has six decimals.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "stamps of a running clock")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "stamps of a running clock"
+)]
 fn micros_of(seconds: &[f64]) -> Vec<u64> {
-    seconds.iter().map(|seconds| (seconds * 1e6).round() as u64).collect()
+    seconds
+        .iter()
+        .map(|seconds| (seconds * 1e6).round() as u64)
+        .collect()
 }
 
 fn scale(road: &Road, start_micros: u64, stamps: &[u64], poses: &[freespace::space::Pose], seen: &mut Seen) {
     #[expect(clippy::cast_precision_loss, reason = "a drive of seconds")]
     let seconds = |stamp: u64| (stamp.cast_signed() - start_micros.cast_signed()) as f64 * 1e-6;
-    let truth: Vec<_> = stamps.iter().map(|stamp| road.world.world_from_camera(seconds(*stamp), &road.camera.mount)).collect();
+    let truth: Vec<_> = stamps
+        .iter()
+        .map(|stamp| road.world.world_from_camera(seconds(*stamp), &road.camera.mount))
+        .collect();
     let Some(score) = trajectory::compare(poses, &truth) else {
         seen.require(false, "the recorded path cannot be compared with the true one");
         return;
     };
     let error = (score.estimated_distance_m / score.distance_m - 1.0).abs();
-    seen.note(format!("{:.0} m driven, length error {:.2} %, position error {:.2} m", score.distance_m, 100.0 * error, score.ate_se3_m));
+    seen.note(format!(
+        "{:.0} m driven, length error {:.2} %, position error {:.2} m",
+        score.distance_m,
+        100.0 * error,
+        score.ate_se3_m
+    ));
     seen.require(error < SCALE, format!("length error {:.2} %", 100.0 * error));
 }
 
@@ -95,12 +115,16 @@ fn replay(rig: &Rig, road: &Road, frames: Vec<(u64, u64)>, log: &Path) -> Result
     let (config, ..) = rig.config()?;
     let words = |error: &dyn std::error::Error| BenchError::Config(error.to_string());
     let Wheels::Can(can) = config.wheels() else {
-        return Err(BenchError::Config("[wheels] must have the source \"can\"".to_owned()));
+        return Err(BenchError::Config(
+            "[wheels] must have the source \"can\"".to_owned(),
+        ));
     };
     let decoder = WheelDecoder::open(&can.dbc, &can.mapping()).map_err(|error| words(&error))?;
-    let wheels = CandumpWheels::open(log, &decoder, &CandumpOptions::default()).map_err(|error| words(&error))?;
+    let wheels =
+        CandumpWheels::open(log, &decoder, &CandumpOptions::default()).map_err(|error| words(&error))?;
     let manifest = Manifest::load(&config.network.manifest).map_err(|error| words(&error))?;
-    let network = segmenter::open(&manifest, EngineChoice::Auto, config.network.threads).map_err(|error| words(&error))?;
+    let network = segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
+        .map_err(|error| words(&error))?;
     let camera = Again::new(road, frames);
     let setup = setup(rig, Box::new(camera), Some(Box::new(wheels)), network)?;
     let mut collector = Collector::default();
@@ -135,7 +159,11 @@ pub(crate) fn setup(
     })
 }
 
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an interval of at most 10 s")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "an interval of at most 10 s"
+)]
 fn pipeline(config: &Config, camera: Camera, odometer: Option<WheelConfig>) -> PipelineConfig {
     let working = config.working_size(camera.width, camera.height);
     PipelineConfig {
@@ -209,7 +237,8 @@ impl Observer for Collector {
     fn frame(&mut self, _: &FrameReport) {}
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
-        self.0.insert(report.output.stamp.0, report.output.grid.occupancy.to_vec());
+        self.0
+            .insert(report.output.stamp.0, report.output.grid.occupancy.to_vec());
     }
 }
 
@@ -237,7 +266,9 @@ fn compare(record: &Path, direct: &Grids, seen: &mut Seen) -> Result<(), BenchEr
     }
     #[expect(clippy::cast_precision_loss, reason = "counts of cells")]
     let iou = both as f64 / either.max(1) as f64;
-    seen.note(format!("{same} of {grids} grids are those of the direct replay to the byte, IoU {iou:.4}"));
+    seen.note(format!(
+        "{same} of {grids} grids are those of the direct replay to the byte, IoU {iou:.4}"
+    ));
     seen.require(grids > 0, "no grid was recorded");
     seen.require(iou >= IOU, format!("IoU with the direct replay is {iou:.4}"));
     Ok(())

@@ -65,18 +65,32 @@ pub(crate) fn drive(rig: &Rig, script: &Script) -> Result<Seen, BenchError> {
     (script.end)(&mut bench)?;
     recover(&bench, script, end, &mut seen);
     std::thread::sleep(STEADY);
-    let during: Vec<_> = bench.listener.heard().into_iter().filter(|heard| (begin..end).contains(&heard.at_micros)).collect();
+    let during: Vec<_> = bench
+        .listener
+        .heard()
+        .into_iter()
+        .filter(|heard| (begin..end).contains(&heard.at_micros))
+        .collect();
     let named = during.iter().fold(Faults::NONE, |all, heard| all | heard.faults);
     let missing = Faults(script.named.0 & !named.0);
     seen.require(missing.is_empty(), format!("no answer named {}", names(missing)));
     if let Some(best) = script.best {
-        let marked = during.iter().skip_while(|heard| heard.faults.0 & script.named.0 == 0);
-        let proud = marked.filter(|heard| heard.level < best && heard.faults.0 & script.named.0 == 0).count();
+        let marked = during
+            .iter()
+            .skip_while(|heard| heard.faults.0 & script.named.0 == 0);
+        let proud = marked
+            .filter(|heard| heard.level < best && heard.faults.0 & script.named.0 == 0)
+            .count();
         seen.require(proud == 0, format!("{proud} answers better than {}", best.name()));
     }
     let worst = during.iter().map(|heard| heard.level).max();
     if let Some(worst) = worst {
-        seen.note(format!("{} answers meanwhile, {} at worst, named {}", during.len(), worst.name(), names(named)));
+        seen.note(format!(
+            "{} answers meanwhile, {} at worst, named {}",
+            during.len(),
+            worst.name(),
+            names(named)
+        ));
     }
     finish(bench, script.blind, seen)
 }
@@ -90,15 +104,29 @@ fn recover(bench: &Bench, script: &Script, end: u64, seen: &mut Seen) {
             seen.recovery_s = Some(seconds);
         }
         None => {
-            let last = bench.listener.heard().last().map(|heard| (heard.level.name(), names(heard.faults)));
-            seen.require(false, format!("no good answer within {} s: {last:?}", script.recovers_s));
+            let last = bench
+                .listener
+                .heard()
+                .last()
+                .map(|heard| (heard.level.name(), names(heard.faults)));
+            seen.require(
+                false,
+                format!("no good answer within {} s: {last:?}", script.recovers_s),
+            );
         }
     }
 }
 
 /// Ends the module as a service would be ended, and looks at the whole drive.
 pub(crate) fn finish(bench: Bench, blind: Blind, mut seen: Seen) -> Result<Seen, BenchError> {
-    let Bench { rig, road, listener, feed, module, .. } = bench;
+    let Bench {
+        rig,
+        road,
+        listener,
+        feed,
+        module,
+        ..
+    } = bench;
     let words = module.last_words();
     let status = module.end();
     std::thread::sleep(Duration::from_millis(100));
@@ -106,7 +134,10 @@ pub(crate) fn finish(bench: Bench, blind: Blind, mut seen: Seen) -> Result<Seen,
     let heard = listener.heard();
     last_word(status, &heard, &words, &mut seen);
     let kept = judge(&heard[..heard.len().saturating_sub(1)], blind);
-    seen.note(format!("{} answers, latest {:.0} ms", kept.answers, kept.latest_ms));
+    seen.note(format!(
+        "{} answers, latest {:.0} ms",
+        kept.answers, kept.latest_ms
+    ));
     seen.broken.extend(kept.broken);
     truth::judge(&frames, &road, &feed, &mut seen);
     std::fs::write(rig.file("bus.candump"), candump(&frames, &rig.interface))?;
@@ -122,11 +153,18 @@ pub(crate) fn last_word(status: Option<ExitStatus>, heard: &[Heard], words: &str
     let is_last_word = heard.last().is_some_and(|last| {
         last.level == QualityLevel::Invalid && last.faults.contains(Faults::SHUTTING_DOWN)
     });
-    seen.require(is_last_word, "the last message is not the invalid one of a shut-down");
+    seen.require(
+        is_last_word,
+        "the last message is not the invalid one of a shut-down",
+    );
 }
 
 /// Names of faults, for the table.
 pub(crate) fn names(faults: Faults) -> String {
     let names: Vec<_> = Faults(faults.0 & !STANDING.0).names().collect();
-    if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
+    if names.is_empty() {
+        "nothing".to_owned()
+    } else {
+        names.join(", ")
+    }
 }

@@ -121,7 +121,10 @@ impl Feed {
 impl Feed {
     /// Wheel frames that were sent until now.
     pub(crate) fn sent_wheels(&self) -> Vec<Frame> {
-        self.sent_wheels.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.sent_wheels
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
     }
 }
 
@@ -173,7 +176,9 @@ struct CameraFeed {
 impl CameraFeed {
     fn run(mut self, start_micros: u64) {
         for number in 0.. {
-            let Some(picture) = (self.picture)(number) else { return };
+            let Some(picture) = (self.picture)(number) else {
+                return;
+            };
             sleep_until(start_micros + picture_micros(number, self.rate_hz));
             if self.is_over.load(Ordering::Relaxed) {
                 return;
@@ -206,7 +211,9 @@ impl CameraFeed {
             CameraFault::Black => self.write(number, &black(width, height), width, height),
             CameraFault::Drops | CameraFault::Silent => {}
             CameraFault::Unplugged => self.output = None,
-            CameraFault::WrongSize => self.write(number, &black(width / 2, height / 2), width / 2, height / 2),
+            CameraFault::WrongSize => {
+                self.write(number, &black(width / 2, height / 2), width / 2, height / 2)
+            }
         }
     }
 
@@ -243,7 +250,9 @@ impl WheelFeed {
     fn run(mut self, start_micros: u64) {
         let mut frame = WheelFrame::default();
         for number in 0.. {
-            let Some(counts) = (self.counts)(number) else { return };
+            let Some(counts) = (self.counts)(number) else {
+                return;
+            };
             sleep_until(start_micros + number * self.period_micros);
             if self.is_over.load(Ordering::Relaxed) {
                 return;
@@ -272,7 +281,9 @@ impl WheelFeed {
         }
         let id = StandardId::new(WheelFrame::ID);
         let frame = id.and_then(|id| CanDataFrame::new(id, bytes));
-        let (Some(socket), Some(frame)) = (&self.socket, frame) else { return };
+        let (Some(socket), Some(frame)) = (&self.socket, frame) else {
+            return;
+        };
         if socket.write_frame(&CanFrame::Data(frame)).is_err() {
             self.socket = None;
             return;

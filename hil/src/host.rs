@@ -43,7 +43,11 @@ pub(crate) fn run(args: &RunArgs) -> bool {
     // The longest first: the others run beside it.
     let queue: Mutex<Vec<&Case>> = Mutex::new(chosen.iter().rev().copied().collect());
     let rows = Mutex::new(Vec::new());
-    let jobs = if args.kernel.is_empty() { 1 } else { args.jobs.max(1) };
+    let jobs = if args.kernel.is_empty() {
+        1
+    } else {
+        args.jobs.max(1)
+    };
     std::thread::scope(|scope| {
         for _ in 0..jobs {
             scope.spawn(|| {
@@ -97,18 +101,34 @@ fn run_case(args: &RunArgs, case: &Case) -> Row {
         None => Command::new(&program),
         Some((kernel, words)) => {
             let mut command = Command::new(kernel);
-            command.args(words).arg("-t").arg(limit_s(case).to_string()).arg("--").arg(&program);
+            command
+                .args(words)
+                .arg("-t")
+                .arg(limit_s(case).to_string())
+                .arg("--")
+                .arg(&program);
             command
         }
     };
-    command.args(["case", case.name]).args(&args.devices).stdin(Stdio::null()).stderr(Stdio::piped());
+    command
+        .args(["case", case.name])
+        .args(&args.devices)
+        .stdin(Stdio::null())
+        .stderr(Stdio::piped());
     match command.output() {
         Ok(output) => {
             let text = String::from_utf8_lossy(&output.stdout);
-            let row = text.lines().rev().find_map(|line| serde_json::from_str::<Row>(line).ok());
+            let row = text
+                .lines()
+                .rev()
+                .find_map(|line| serde_json::from_str::<Row>(line).ok());
             row.unwrap_or_else(|| {
                 let words = String::from_utf8_lossy(&output.stderr);
-                failed(format!("no row: {} {}", output.status, words.lines().last().unwrap_or_default()))
+                failed(format!(
+                    "no row: {} {}",
+                    output.status,
+                    words.lines().last().unwrap_or_default()
+                ))
             })
         }
         Err(error) => failed(error.to_string()),
@@ -122,7 +142,10 @@ fn limit_s(case: &Case) -> u64 {
 
 fn write_json(args: &RunArgs, rows: &[Row]) {
     let Some(path) = &args.json else { return };
-    let lines: Vec<String> = rows.iter().filter_map(|row| serde_json::to_string(row).ok()).collect();
+    let lines: Vec<String> = rows
+        .iter()
+        .filter_map(|row| serde_json::to_string(row).ok())
+        .collect();
     if let Err(error) = std::fs::write(path, lines.join("\n") + "\n") {
         eprintln!("{}: cannot be written: {error}", path.display());
     }

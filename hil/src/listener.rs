@@ -10,7 +10,9 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use freespace::health::{Faults, QualityLevel};
-use socketcan::{CanAnyFrame, CanFdSocket, CanFilter, EmbeddedFrame as _, Id, Socket as _, SocketOptions as _};
+use socketcan::{
+    CanAnyFrame, CanFdSocket, CanFilter, EmbeddedFrame as _, Id, Socket as _, SocketOptions as _,
+};
 
 use crate::clock::now_micros;
 
@@ -88,7 +90,10 @@ impl Listener {
         let from = now_micros();
         let until = from + u64::try_from(at_most.as_micros()).unwrap_or(u64::MAX / 2);
         while now_micros() < until {
-            let found = self.heard().into_iter().find(|heard| heard.at_micros >= from && is_it(heard));
+            let found = self
+                .heard()
+                .into_iter()
+                .find(|heard| heard.at_micros >= from && is_it(heard));
             if found.is_some() {
                 return found;
             }

@@ -120,7 +120,11 @@ fn main() -> ExitCode {
         Command::GaugeCheck(args) => gauge::check(&args),
         Command::Listen { interface } => listen(&interface),
     };
-    if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    if is_well {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    }
 }
 
 fn run_case(name: &str, devices: &DeviceArgs) -> bool {

@@ -37,7 +37,10 @@ impl Module {
         if let Some(folder) = record {
             command.arg("--record").arg(folder);
         }
-        command.stdin(Stdio::null()).stderr(output.try_clone()?).stdout(output);
+        command
+            .stdin(Stdio::null())
+            .stderr(output.try_clone()?)
+            .stdout(output);
         Ok(Self {
             child: command.spawn()?,
             log: log.to_owned(),

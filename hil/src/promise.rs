@@ -36,7 +36,10 @@ pub(crate) fn judge(heard: &[Heard], blind: Blind) -> Kept {
         kept.latest_ms = kept.latest_ms.max(answer.capture_to_publish_ms);
         if answer.capture_to_publish_ms > LATEST_MS {
             let ms = answer.capture_to_publish_ms;
-            kept.broken.push(format!("answer {} came {ms:.0} ms after capture", answer.sequence));
+            kept.broken.push(format!(
+                "answer {} came {ms:.0} ms after capture",
+                answer.sequence
+            ));
         }
     }
     if !blind.spots {
@@ -50,10 +53,18 @@ pub(crate) fn judge(heard: &[Heard], blind: Blind) -> Kept {
 fn gap(before: &Heard, after: &Heard) -> Option<String> {
     let silence = after.at_micros.saturating_sub(before.at_micros);
     if after.sequence != before.sequence.wrapping_add(1) {
-        return Some(format!("answer {} follows answer {}", after.sequence, before.sequence));
+        return Some(format!(
+            "answer {} follows answer {}",
+            after.sequence, before.sequence
+        ));
     }
-    (silence > LONGEST_SILENCE_MICROS)
-        .then(|| format!("silence of {} ms before answer {}", silence / 1000, after.sequence))
+    (silence > LONGEST_SILENCE_MICROS).then(|| {
+        format!(
+            "silence of {} ms before answer {}",
+            silence / 1000,
+            after.sequence
+        )
+    })
 }
 
 #[cfg(test)]

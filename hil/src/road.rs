@@ -6,12 +6,10 @@
 use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, sync_channel};
 
+use crate::feed::Show;
 use freespace::frame::{Camera, RgbImage};
 use freespace::track::{WheelConfig, WheelReading};
-use crate::feed::Show;
-use freespace_platform::world::{
-    Encoders, Sensor, SimCamera, SimWheels, Slip, Textures, World, WorldConfig,
-};
+use freespace_platform::world::{Encoders, Sensor, SimCamera, SimWheels, Slip, Textures, World, WorldConfig};
 
 /// Pictures rendered ahead: a third of a second.
 const AHEAD: usize = 10;
@@ -27,7 +25,13 @@ pub(crate) struct Road {
 }
 
 impl Road {
-    pub(crate) fn new(seed: u64, camera: &Camera, rate_hz: f64, odometer: &WheelConfig, slips: &[Slip]) -> Self {
+    pub(crate) fn new(
+        seed: u64,
+        camera: &Camera,
+        rate_hz: f64,
+        odometer: &WheelConfig,
+        slips: &[Slip],
+    ) -> Self {
         let config = WorldConfig {
             seed,
             track_m: odometer.track_m,
@@ -148,7 +152,9 @@ mod tests {
     /// The module must see the colours that were rendered: within rounding and the chroma of two pixels.
     #[test]
     fn a_picture_survives_its_way_through_yuyv() {
-        let rgb: Vec<u8> = (0..64_u8).flat_map(|i| [i * 3, 255 - i * 2, 60 + i, i * 3, 255 - i * 2, 60 + i]).collect();
+        let rgb: Vec<u8> = (0..64_u8)
+            .flat_map(|i| [i * 3, 255 - i * 2, 60 + i, i * 3, 255 - i * 2, 60 + i])
+            .collect();
         let mut back = RgbImage::new(128, 1);
         let raw = RawFrame {
             stamp: Micros(0),

@@ -8,14 +8,20 @@ pub(crate) fn print(rows: &[Row]) -> bool {
         line(row);
     }
     let count = |verdict| rows.iter().filter(|row| row.verdict == verdict).count();
-    let (passed, failed, skipped) = (count(Verdict::Passed), count(Verdict::Failed), count(Verdict::Skipped));
+    let (passed, failed, skipped) = (
+        count(Verdict::Passed),
+        count(Verdict::Failed),
+        count(Verdict::Skipped),
+    );
     println!("{passed} passed, {failed} failed, {skipped} skipped");
     failed == 0
 }
 
 /// Prints one row.
 pub(crate) fn line(row: &Row) {
-    let recovery = row.recovery_s.map(|seconds| format!("  recovered in {seconds:.2} s"));
+    let recovery = row
+        .recovery_s
+        .map(|seconds| format!("  recovered in {seconds:.2} s"));
     println!(
         "{:<18} {}  {:>5.0} s{}\n    injected  {}\n    required  {}\n    seen      {}",
         row.case,

@@ -1,8 +1,8 @@
 //! The grids that came over the bus against the world that was driven through.
 
 use freespace::budget::MAX_CELLS;
-use freespace::emit::grid_frames::{GridReader, GridStep, ReceivedGrid};
 use freespace::emit::CanFrame;
+use freespace::emit::grid_frames::{GridReader, GridStep, ReceivedGrid};
 use freespace::health::QualityLevel;
 use freespace_platform::eval::grid::{CellCount, GridLayout, RANGE_M};
 use freespace_platform::world::GridSpec;
@@ -38,15 +38,25 @@ pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen)
             let share = falsely_free(&count);
             seen.require(
                 share <= FALSELY_FREE,
-                format!("grid {}: {:.0} % of what it calls free is not", grid.sequence, 100.0 * share),
+                format!(
+                    "grid {}: {:.0} % of what it calls free is not",
+                    grid.sequence,
+                    100.0 * share
+                ),
             );
             good.both += count.both;
             good.either += count.either;
         }
     }
-    seen.note(format!("{grids} grids over the bus, free space IoU {:.3}", good.iou()));
+    seen.note(format!(
+        "{grids} grids over the bus, free space IoU {:.3}",
+        good.iou()
+    ));
     seen.require(grids > 0, "no grid came over the bus");
-    seen.require(good.iou() >= IOU, format!("free space IoU is {:.3} only", good.iou()));
+    seen.require(
+        good.iou() >= IOU,
+        format!("free space IoU is {:.3} only", good.iou()),
+    );
     if refused > 0 {
         seen.note(format!("{refused} grids incomplete"));
     }

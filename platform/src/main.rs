@@ -16,6 +16,7 @@ fn main() -> ExitCode {
     // Where it is refused, `freespace doctor` and a live run tell it; nothing has been started that could depend on it.
     let _ = rights::settle_allocator();
     let result = match Cli::parse().command {
+        Command::Run(args) => cli::run_run(&args),
         Command::Eval(command) => cli::run_eval(&command),
         Command::Replay(args) => cli::run_replay(&args),
         Command::Demo(args) => cli::run_demo(&args),

@@ -57,7 +57,16 @@ pub(crate) const CASES: &[Case] = &[
         injected: "counters of 8 bits wrap twice a second, nothing else",
         required: "no fault is named",
         is_quick: true,
-        run: |rig| wheels(rig, WheelFault::None, Script { best: None, ..Script::default() }),
+        run: |rig| {
+            wheels(
+                rig,
+                WheelFault::None,
+                Script {
+                    best: None,
+                    ..Script::default()
+                },
+            )
+        },
     },
     Case {
         name: "wheel-stuck",
@@ -133,7 +142,9 @@ fn slip(rig: &Rig) -> Result<Seen, BenchError> {
         move |bench: &mut Bench| {
             let left = seconds - bench.feed.seconds_at(crate::clock::now_micros());
             if left < 0.0 {
-                return Err(BenchError::NoAnswer("it took too long to drive: the slip is over".to_owned()));
+                return Err(BenchError::NoAnswer(
+                    "it took too long to drive: the slip is over".to_owned(),
+                ));
             }
             std::thread::sleep(Duration::from_secs_f64(left));
             Ok(())

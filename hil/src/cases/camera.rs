@@ -70,7 +70,16 @@ pub(crate) const CASES: &[Case] = &[
         injected: "the camera comes back with another size for 4 s",
         required: "no such frame is used, camera_silent is named",
         is_quick: true,
-        run: |rig| camera(rig, CameraFault::WrongSize, Script { recovers_s: 6.0, ..silent() }),
+        run: |rig| {
+            camera(
+                rig,
+                CameraFault::WrongSize,
+                Script {
+                    recovers_s: 6.0,
+                    ..silent()
+                },
+            )
+        },
     },
 ];
 

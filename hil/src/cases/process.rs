@@ -104,10 +104,20 @@ fn since(from: u64, to: u64) -> f64 {
 
 fn all_good_since(bench: &Bench, from: u64, seen: &mut Seen) {
     let heard = bench.listener.heard();
-    let bad: Vec<_> = heard.iter().filter(|heard| heard.at_micros >= from && !heard.is_good(STANDING)).collect();
+    let bad: Vec<_> = heard
+        .iter()
+        .filter(|heard| heard.at_micros >= from && !heard.is_good(STANDING))
+        .collect();
     if let Some(first) = bad.first() {
         let what = crate::drive::names(first.faults);
-        seen.require(false, format!("{} answers are not good: {} with {what}", bad.len(), first.level.name()));
+        seen.require(
+            false,
+            format!(
+                "{} answers are not good: {} with {what}",
+                bad.len(),
+                first.level.name()
+            ),
+        );
     }
 }
 
@@ -120,7 +130,9 @@ fn no_camera(rig: &Rig) -> Result<Seen, BenchError> {
     let started_micros = crate::clock::now_micros();
     let module = Module::start(&rig.installation, None, &rig.file("module.log"))?;
     let mut seen = Seen::default();
-    let silent = listener.wait_for(Duration::from_secs(5), |heard| heard.faults.contains(Faults::CAMERA_SILENT));
+    let silent = listener.wait_for(Duration::from_secs(5), |heard| {
+        heard.faults.contains(Faults::CAMERA_SILENT)
+    });
     seen.require(silent.is_some(), "no message tells that the camera is silent");
     std::thread::sleep(Duration::from_secs(2));
     let back = crate::clock::now_micros();
@@ -143,7 +155,9 @@ fn no_camera(rig: &Rig) -> Result<Seen, BenchError> {
 
 fn clock_step(rig: &Rig) -> Result<Seen, BenchError> {
     if !rig.owns_kernel {
-        return Err(BenchError::Lacking("the clock of a machine in use is not stepped".to_owned()));
+        return Err(BenchError::Lacking(
+            "the clock of a machine in use is not stepped".to_owned(),
+        ));
     }
     let step = |seconds: &'static str| move |_: &mut Bench| command("date", &["-s", seconds]);
     let script = Script {
@@ -173,7 +187,10 @@ fn sigkill(rig: &Rig) -> Result<Seen, BenchError> {
     bench.module.wait(Duration::from_secs(2));
     let restarted = crate::clock::now_micros();
     bench.module = Module::start(&rig.installation, None, &rig.file("module.log"))?;
-    match bench.listener.wait_for(Duration::from_secs(8), |heard| heard.is_good(STANDING)) {
+    match bench
+        .listener
+        .wait_for(Duration::from_secs(8), |heard| heard.is_good(STANDING))
+    {
         Some(heard) => {
             let seconds = since(restarted, heard.at_micros);
             seen.recovery_s = Some(seconds);
@@ -187,7 +204,9 @@ fn sigkill(rig: &Rig) -> Result<Seen, BenchError> {
 
 fn disk_full(rig: &Rig) -> Result<Seen, BenchError> {
     if !rig.owns_kernel {
-        return Err(BenchError::Lacking("no small disk is mounted on a machine in use".to_owned()));
+        return Err(BenchError::Lacking(
+            "no small disk is mounted on a machine in use".to_owned(),
+        ));
     }
     let disk = rig.file("disk");
     std::fs::create_dir_all(&disk)?;
@@ -200,7 +219,8 @@ fn disk_full(rig: &Rig) -> Result<Seen, BenchError> {
     let log = rig.file("module.log");
     let mut kept = finish(bench, Blind::default(), seen)?;
     // A run whose recording is lost ends with an error, which SIGTERM does not make good.
-    kept.broken.retain(|broken| !broken.starts_with("SIGTERM ended it"));
+    kept.broken
+        .retain(|broken| !broken.starts_with("SIGTERM ended it"));
     let told = std::fs::read_to_string(&log)?.contains("No space left");
     kept.require(told, "the full disk is not told");
     Ok(kept)

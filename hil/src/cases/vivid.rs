@@ -61,10 +61,16 @@ fn control(rig: &Rig, control: &str) -> Result<Seen, BenchError> {
     command("v4l2-ctl", &["-d", &node, "-c", control])?;
     std::thread::sleep(LOOK);
     seen.require(module.is_running(), "the module ended");
-    let named = listener.heard().iter().fold(Faults::NONE, |all, heard| all | heard.faults);
+    let named = listener
+        .heard()
+        .iter()
+        .fold(Faults::NONE, |all, heard| all | heard.faults);
     seen.note(format!("named {}", crate::drive::names(named)));
     if control.starts_with("percentage") {
-        command("v4l2-ctl", &["-d", &node, "-c", "percentage_of_dropped_buffers=0"])?;
+        command(
+            "v4l2-ctl",
+            &["-d", &node, "-c", "percentage_of_dropped_buffers=0"],
+        )?;
     }
     let back = listener.wait_for(TO_RECOVER, |heard| has_frames(heard.faults));
     seen.require(back.is_some(), "no frames again");
@@ -74,7 +80,10 @@ fn control(rig: &Rig, control: &str) -> Result<Seen, BenchError> {
     let heard = listener.heard();
     last_word(status, &heard, &words, &mut seen);
     let kept = judge(&heard[..heard.len().saturating_sub(1)], Blind::default());
-    seen.note(format!("{} answers, latest {:.0} ms", kept.answers, kept.latest_ms));
+    seen.note(format!(
+        "{} answers, latest {:.0} ms",
+        kept.answers, kept.latest_ms
+    ));
     seen.broken.extend(kept.broken);
     Ok(seen)
 }
@@ -94,6 +103,9 @@ fn config_for(rig: &Rig, device: &Path) -> Result<PathBuf, BenchError> {
     let text = std::fs::read_to_string(shipped)?;
     let path = shipped.with_file_name("rig-vivid.toml");
     let own = format!("path = \"{}\"", rig.device.display());
-    std::fs::write(&path, text.replace(&own, &format!("path = \"{}\"", device.display())))?;
+    std::fs::write(
+        &path,
+        text.replace(&own, &format!("path = \"{}\"", device.display())),
+    )?;
     Ok(path)
 }

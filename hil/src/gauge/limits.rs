@@ -29,12 +29,16 @@ pub(crate) fn check(args: &CheckArgs) -> bool {
         let text = std::fs::read_to_string(path).ok()?;
         serde_json::from_str(&text).ok()
     };
-    let (Some(idle), Some(loaded), Some(limits)) = (read(&args.idle), read(&args.loaded), read(&args.limits)) else {
+    let (Some(idle), Some(loaded), Some(limits)) = (read(&args.idle), read(&args.loaded), read(&args.limits))
+    else {
         eprintln!("gauge: figures or limits cannot be read");
         return false;
     };
     let mut is_well = true;
-    println!("{:<22}{:>12}{:>12}{:>9}{:>12}", "thousand instructions", "idle", "loaded", "apart", "limit");
+    println!(
+        "{:<22}{:>12}{:>12}{:>9}{:>12}",
+        "thousand instructions", "idle", "loaded", "apart", "limit"
+    );
     for (name, idle, loaded, limit) in rows(&idle, &loaded, &limits) {
         let apart = (idle - loaded).abs() / idle.max(loaded).max(f64::MIN_POSITIVE);
         let agrees = apart <= SAME || idle.max(loaded) < SMALL;
@@ -45,9 +49,15 @@ pub(crate) fn check(args: &CheckArgs) -> bool {
             (true, false) => "  OVER",
         };
         is_well &= agrees && keeps;
-        println!("{name:<22}{idle:>12.0}{loaded:>12.0}{:>8.2}%{limit:>12.0}{verdict}", 100.0 * apart);
+        println!(
+            "{name:<22}{idle:>12.0}{loaded:>12.0}{:>8.2}%{limit:>12.0}{verdict}",
+            100.0 * apart
+        );
     }
-    println!("{} and {} key frames, {} and {} misses", idle.key_frames, loaded.key_frames, idle.misses, loaded.misses);
+    println!(
+        "{} and {} key frames, {} and {} misses",
+        idle.key_frames, loaded.key_frames, idle.misses, loaded.misses
+    );
     if idle.network_is_recorded {
         println!("the network's answers were recorded: *segmentation* is what is left without it");
     }
@@ -61,11 +71,29 @@ fn rows(idle: &Figures, loaded: &Figures, limits: &Figures) -> Vec<Line> {
         let found = figures.stages.iter().find(|(stage, _)| stage == name);
         found.map_or(f64::NAN, |(_, value)| *value)
     };
-    let stages = idle.stages.iter().map(|(name, value)| (name.clone(), *value, of(loaded, name), of(limits, name)));
+    let stages = idle
+        .stages
+        .iter()
+        .map(|(name, value)| (name.clone(), *value, of(loaded, name), of(limits, name)));
     let latency = [
-        ("capture to CAN p50", idle.capture_to_can_p50, loaded.capture_to_can_p50, limits.capture_to_can_p50),
-        ("capture to CAN p99", idle.capture_to_can_p99, loaded.capture_to_can_p99, limits.capture_to_can_p99),
-        ("capture to CAN max", idle.capture_to_can_max, loaded.capture_to_can_max, limits.capture_to_can_max),
+        (
+            "capture to CAN p50",
+            idle.capture_to_can_p50,
+            loaded.capture_to_can_p50,
+            limits.capture_to_can_p50,
+        ),
+        (
+            "capture to CAN p99",
+            idle.capture_to_can_p99,
+            loaded.capture_to_can_p99,
+            limits.capture_to_can_p99,
+        ),
+        (
+            "capture to CAN max",
+            idle.capture_to_can_max,
+            loaded.capture_to_can_max,
+            limits.capture_to_can_max,
+        ),
     ];
     let latency = latency.map(|(name, idle, loaded, limit)| (name.to_owned(), idle, loaded, limit));
     stages.chain(latency).collect()

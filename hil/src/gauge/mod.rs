@@ -14,8 +14,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
-use crate::bench::BenchError;
 use crate::DeviceArgs;
+use crate::bench::BenchError;
 
 pub(crate) use limits::{CheckArgs, check};
 
@@ -65,7 +65,12 @@ pub(crate) struct Figures {
 
 /// Records the tape; whether it could.
 pub(crate) fn record(args: &RecordArgs) -> bool {
-    told(tape::record(&args.devices.rig("gauge"), &args.tape, args.seconds, args.rate))
+    told(tape::record(
+        &args.devices.rig("gauge"),
+        &args.tape,
+        args.seconds,
+        args.rate,
+    ))
 }
 
 /// Plays the tape to the module; whether it could.

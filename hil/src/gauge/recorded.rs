@@ -39,7 +39,10 @@ impl Segmenter for RecordedNetwork {
         read: &mut dyn FnMut(&[f32]),
     ) -> Result<(), SegmenterError> {
         fill(&mut self.input);
-        let answer = self.answers.get(self.next % self.answers.len().max(1)).ok_or(SegmenterError::Engine)?;
+        let answer = self
+            .answers
+            .get(self.next % self.answers.len().max(1))
+            .ok_or(SegmenterError::Engine)?;
         self.next += 1;
         read(answer);
         Ok(())
@@ -68,7 +71,10 @@ impl Segmenter for Recording {
     ) -> Result<(), SegmenterError> {
         let answers = &self.answers;
         self.inner.run_in_place(fill, &mut |answer| {
-            answers.lock().unwrap_or_else(PoisonError::into_inner).push(answer.to_vec());
+            answers
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(answer.to_vec());
             read(answer);
         })
     }

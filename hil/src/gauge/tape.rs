@@ -38,7 +38,11 @@ pub(super) struct Tape {
 }
 
 /// Drives in lockstep and writes the tape.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a drive of seconds")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a drive of seconds"
+)]
 pub(super) fn record(rig: &Rig, path: &Path, seconds: f64, rate_hz: f64) -> Result<(), BenchError> {
     let mut road = rig.road(&[])?;
     road.rate_hz = rate_hz;
@@ -46,13 +50,16 @@ pub(super) fn record(rig: &Rig, path: &Path, seconds: f64, rate_hz: f64) -> Resu
     let (config, ..) = rig.config()?;
     let words = |error: &dyn std::error::Error| BenchError::Config(error.to_string());
     let manifest = Manifest::load(&config.network.manifest).map_err(|error| words(&error))?;
-    let inner = segmenter::open(&manifest, EngineChoice::Auto, config.network.threads).map_err(|error| words(&error))?;
+    let inner = segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
+        .map_err(|error| words(&error))?;
     let answers = Arc::new(Mutex::new(Vec::new()));
     let network = Recording {
         inner,
         answers: Arc::clone(&answers),
     };
-    let stamps = (0..pictures).map(|number| (picture_micros(number, rate_hz), number)).collect();
+    let stamps = (0..pictures)
+        .map(|number| (picture_micros(number, rate_hz), number))
+        .collect();
     let camera = Again::new(&road, stamps);
     // The network sees the picture alone: no wheels are needed.
     let setup = setup(rig, Box::new(camera), None, Box::new(network))?;
@@ -99,7 +106,9 @@ impl Tape {
         for _ in 0..head.answers {
             let mut bytes = vec![0; 4 * head.answer_len];
             file.read_exact(&mut bytes)?;
-            let values = bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+            let values = bytes
+                .chunks_exact(4)
+                .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
             answers.push(values.collect());
         }
         Ok(Self {

@@ -15,6 +15,7 @@ use crate::eval::masks::TruthKind;
     after_help = "\
 Examples:
   freespace demo
+  freespace run --config car.toml
   freespace replay drive --config config/kitti.toml --can drive/wheel.candump --out out/drive
   freespace eval trajectory out/drive/trajectory.kitti drive/poses.txt
 
@@ -29,6 +30,8 @@ pub struct Cli {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Drive on this computer's camera and CAN bus until SIGTERM or Ctrl-C.
+    Run(RunArgs),
     /// Drive a simulated road through the full pipeline.
     Demo(DemoArgs),
     /// Run recorded frames, and a CAN log, through the full pipeline.
@@ -90,6 +93,29 @@ pub struct CanLoadArgs {
     #[arg(long, value_name = "FILE")]
     pub log: Option<PathBuf>,
     /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `freespace run`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  freespace run --config /etc/freespace/car.toml
+  freespace run --config car.toml --seconds 60 --record out/drive
+
+A camera or bus that is not there yet is waited for, and every message says so.")]
+pub struct RunArgs {
+    /// Vehicle, camera and bus; config/car.toml shows all of it.
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Ends after so many seconds; without it the drive goes on.
+    #[arg(long, value_name = "N", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Folder for pictures, grids and report; new, empty, or of an earlier run, which is replaced.
+    #[arg(long, value_name = "DIR")]
+    pub record: Option<PathBuf>,
+    /// Print the report as JSON in place of the table.
     #[arg(long)]
     pub json: bool,
 }

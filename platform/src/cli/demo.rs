@@ -121,7 +121,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let score = trajectory::compare(&recording.poses()?, &recording.true_poses()?);
     let truth = score.map_or(truth, |score| truth.with_trajectory(&score));
     let report = recording.finish(&counts, &statistics, Some(truth))?;
-    table::print(&report, &engine, &args.out, args.json);
+    table::print(&report, &engine, Some(&args.out), args.json);
     Ok(())
 }
 

@@ -11,12 +11,13 @@ mod eval;
 mod failure;
 mod memory_watch;
 mod replay;
+mod run;
 mod service;
 mod table;
 
 pub use args::{
     Ablation, CanCommand, CanDecodeArgs, CanLoadArgs, Cli, Command, DemoArgs, DoctorArgs, EvalCommand, Pace,
-    ReplayArgs, TruthArgs,
+    ReplayArgs, RunArgs, TruthArgs,
 };
 pub use can::run as run_can;
 pub use demo::run as run_demo;
@@ -24,3 +25,4 @@ pub use doctor::run as run_doctor;
 pub use eval::run as run_eval;
 pub use failure::{Failure, finish};
 pub use replay::{ReplayInputs, open_inputs, run as run_replay};
+pub use run::run as run_run;

@@ -148,6 +148,6 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let poses = recording.poses()?.into_iter().enumerate();
     let truth = reference.compare(poses, &recording.mask_folder())?;
     let report = recording.finish(&counts, &statistics, truth)?;
-    table::print(&report, &engine, &args.out, args.json);
+    table::print(&report, &engine, Some(&args.out), args.json);
     Ok(())
 }

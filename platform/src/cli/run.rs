@@ -1,16 +1,208 @@
 //! `freespace run`: the camera and the bus of this computer, until it is told to end.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
-use freespace::pipeline::Cadence;
+use freespace::frame::Camera;
+use freespace::pipeline::{Cadence, PipelineConfig};
+use freespace::port::{SinkPort, WheelPort};
+use freespace::track::WheelConfig;
 
-use super::drive::{self, Progress, Recorder, Watch};
-use super::{Failure, Pace, RunArgs, table};
+use super::drive::{self, Progress, Recorded, Recorder, Watch};
+use super::{Failure, RunArgs, table};
 use crate::bad_input::BadInput;
-use crate::camera::v4l2::V4l2Camera;
-use crate::can;
+use crate::camera::v4l2::{CameraEvents, V4l2Camera};
+use crate::can::{self, CanDevices, CanListener, CanPlan};
 use crate::clock::MonotonicClock;
-use crate::config::{Config, Wheels};
-use crate::runtime::{Devices, Setup};
+use crate::config::{Config, DeviceSection, ImageSize, Wheels};
+use crate::runtime::{Devices, RunSummary, Setup};
 use crate::sink::recording::{Recording, Report, RunTitle};
 
+/// Drives on this computer's devices until SIGTERM or SIGINT, or for the seconds that were asked for.
+///
+/// # Errors
+/// A bad configuration, devices that cannot be what it says, a folder that cannot be written to. A device that is absent is
+/// waited for.
+pub fn run(args: &RunArgs) -> Result<(), Failure> {
+    let config = Config::load(&args.config)?;
+    let (device, size) = camera_device(&config)?;
+    let camera = config.camera_for(&args.config, size.width, size.height)?;
+    // Everything that may be refused is tried before anything is written or started.
+    let network = drive::open_network(&config)?;
+    let mut frames = V4l2Camera::open(device, size, config.camera.frame_rate_hz).map_err(BadInput::from)?;
+    let mut watch = Watch::new(Progress::new(None));
+    if let Some(mode) = frames.mode() {
+        eprintln!("{}: {mode}", device.path.display());
+    }
+    if let Some(events) = frames.take_events() {
+        watch.listen(Box::new(camera_lines(events)));
+    }
+    let bus = open_bus(&config, &mut watch)?;
+    let engine = network.segmenter.name().to_owned();
+    let pipeline = pipeline(&config, camera, bus.odometer);
+    let setup = Setup {
+        config: pipeline.clone(),
+        devices: Devices {
+            camera: Box::new(frames),
+            wheels: bus.wheels,
+            segmenter: network.segmenter,
+            tiles: drive::tiles(&config, &camera),
+            sinks: bus.sinks,
+        },
+        real_time: network.real_time,
+        plan: network.plan,
+        lacks: network.lacks,
+        clock: MonotonicClock::of_devices(),
+    };
+    let drive = Drive {
+        args,
+        config: &config,
+        pipeline: &pipeline,
+    };
+    let report = drive.run(setup, watch)?;
+    table::print(&report, &engine, args.record.as_deref(), args.json);
+    Ok(())
+}
+
+fn camera_device(config: &Config) -> Result<(&DeviceSection, ImageSize), Failure> {
+    match (&config.camera.device, config.camera.size()) {
+        (Some(device), Some(size)) => Ok((device, size)),
+        _ => Err(BadInput::of_file(
+            &config.path,
+            "names no camera of this computer",
+            "add [camera.device] with `path = \"/dev/video0\"`, and width and height to [camera]; config/car.toml shows it",
+        )
+        .into()),
+    }
+}
+
+/// What the bus gives a run.
+#[derive(Default)]
+struct Bus {
+    wheels: Option<Box<dyn WheelPort + Send>>,
+    odometer: Option<WheelConfig>,
+    sinks: Vec<Box<dyn SinkPort + Send>>,
+}
+
+fn open_bus(config: &Config, watch: &mut Watch) -> Result<Bus, Failure> {
+    let odometer = match config.wheels() {
+        Wheels::Can(wheels) if wheels.interface.is_some() => Some(wheels.odometer),
+        Wheels::None => None,
+        Wheels::Can(_) | Wheels::Sim(_) => {
+            return Err(BadInput::of_file(
+                &config.path,
+                "[wheels] names no interface of this computer",
+                "set `source = \"can\"` and `interface = \"can0\"` in [wheels], or `source = \"none\"`",
+            )
+            .into());
+        }
+    };
+    let Some(plan) = CanPlan::of(config).map_err(Failure::bad_input)? else {
+        return Ok(Bus::default());
+    };
+    if let Some(out) = &plan.out {
+        let load = out.load();
+        eprintln!(
+            "{}: sends {:.0} frames a second, at most {:.1} % of the bus",
+            out.interface.as_deref().unwrap_or_default(),
+            load.frames_per_second,
+            100.0 * load.share
+        );
+    }
+    let CanDevices {
+        wheels,
+        sink,
+        listener,
+        ..
+    } = can::open(plan).map_err(Failure::bad_input)?;
+    watch.listen(Box::new(can_lines(listener)));
+    Ok(Bus {
+        wheels: wheels.map(|port| -> Box<dyn WheelPort + Send> { port }),
+        odometer,
+        sinks: sink
+            .into_iter()
+            .map(|port| -> Box<dyn SinkPort + Send> { port })
+            .collect(),
+    })
+}
+
+fn camera_lines(mut events: CameraEvents) -> impl FnMut() -> Option<String> {
+    let device = events.device().display().to_string();
+    move || events.next_event().map(|event| format!("{device}: {event}"))
+}
+
+fn can_lines(mut listener: CanListener) -> impl FnMut() -> Option<String> {
+    move || listener.next_event().map(|trace| listener.line(&trace))
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "an interval of at most 10 s"
+)]
+fn pipeline(config: &Config, camera: Camera, odometer: Option<WheelConfig>) -> PipelineConfig {
+    let period_micros = (config.key_frames.interval_s * 1e6) as u64;
+    drive::pipeline_config(config, camera, odometer, Cadence::Micros(period_micros))
+}
+
+struct Drive<'a> {
+    args: &'a RunArgs,
+    config: &'a Config,
+    pipeline: &'a PipelineConfig,
+}
+
+impl Drive<'_> {
+    fn run(&self, setup: Setup, watch: Watch) -> Result<Report, Failure> {
+        let stop = Arc::new(AtomicBool::new(false));
+        match &self.args.record {
+            Some(folder) => {
+                let title = RunTitle {
+                    title: format!("freespace run {}", self.config.path.display()),
+                    deadline_ms: self.config.deadline.publish_ms,
+                    is_reproducible: false,
+                };
+                let recording = Recording::create(folder, title)?;
+                let mut recorder = Recorder::new(recording, self.pipeline, BTreeMap::new(), watch);
+                let summary = self.live(setup, &stop, &mut recorder)?;
+                let Recorded {
+                    recording,
+                    counts,
+                    statistics,
+                } = recorder.finish(&summary)?;
+                Ok(recording.finish(&counts, &statistics, None)?)
+            }
+            None => {
+                let mut watch = watch;
+                let summary = self.live(setup, &stop, &mut watch)?;
+                let (counts, statistics) = watch.finish(&summary);
+                Ok(Report::new(&counts, &statistics, None))
+            }
+        }
+    }
+
+    fn live(
+        &self,
+        setup: Setup,
+        stop: &Arc<AtomicBool>,
+        observer: &mut dyn crate::runtime::Observer,
+    ) -> Result<RunSummary, Failure> {
+        if let Some(seconds) = self.args.seconds {
+            stop_after(seconds, Arc::clone(stop))?;
+        }
+        drive::run_live(setup, stop, observer)
+    }
+}
+
+/// The thread is forgotten: it ends with the process where the drive ends first.
+fn stop_after(seconds: f64, stop: Arc<AtomicBool>) -> Result<(), Failure> {
+    let thread = std::thread::Builder::new()
+        .name("stop".to_owned())
+        .spawn(move || {
+            std::thread::sleep(std::time::Duration::from_secs_f64(seconds));
+            stop.store(true, std::sync::atomic::Ordering::Relaxed);
+        });
+    thread
+        .map(drop)
+        .map_err(|error| Failure::unmet(format!("a thread could not be started: {error}")))
+}

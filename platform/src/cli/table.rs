@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::sink::recording::Report;
 
 /// Prints a report to standard output: a short table, or the JSON of `report.json`.
-pub(super) fn print(report: &Report, engine: &str, out: &Path, as_json: bool) {
+pub(super) fn print(report: &Report, engine: &str, out: Option<&Path>, as_json: bool) {
     if as_json {
         // A report always has a JSON form.
         println!("{}", serde_json::to_string_pretty(report).unwrap_or_default());
@@ -78,5 +78,7 @@ pub(super) fn print(report: &Report, engine: &str, out: &Path, as_json: bool) {
             line("scale error", format!("{:.2} %", 100.0 * scale));
         }
     }
-    line("written to", format!("{} (open index.html)", out.display()));
+    if let Some(out) = out {
+        line("written to", format!("{} (open index.html)", out.display()));
+    }
 }

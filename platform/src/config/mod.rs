@@ -5,16 +5,16 @@
 //! the line and the fix. `config/freespace.schema.json` describes the same keys for editors.
 
 mod camera;
-mod device;
 mod can;
+mod device;
 mod document;
 mod runtime;
 mod stages;
 mod wheels;
 
 pub use camera::{CameraSection, LensModel, LensSection};
-pub use device::{ControlValue, DeviceFormat, DeviceSection};
 pub use can::{CanOut, CanSection};
+pub use device::{ControlValue, DeviceFormat, DeviceSection};
 pub use runtime::{PolicyName, RuntimeSection, ThreadSection};
 pub use wheels::{
     CanWheels, ChecksumSection, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection,

@@ -103,10 +103,21 @@ pub(in crate::cli) fn run(
     if pace == Pace::Fast {
         return Ok(runtime::run_in_lockstep(setup, observer));
     }
-    let stop = Arc::new(AtomicBool::new(false));
+    run_live(setup, &Arc::new(AtomicBool::new(false)), observer)
+}
+
+/// Runs at real pace until `stop`, SIGTERM or SIGINT.
+///
+/// # Errors
+/// A thread that could not be started, hung, or panicked too often.
+pub(in crate::cli) fn run_live(
+    setup: Setup,
+    stop: &Arc<AtomicBool>,
+    observer: &mut dyn Observer,
+) -> Result<RunSummary, Failure> {
     let internal = |error: &dyn std::error::Error| Failure::Internal(miette::miette!("{error}"));
-    stop_on_signals(&stop).map_err(|error| internal(&error))?;
-    runtime::run_live(setup, &stop, observer).map_err(|error| {
+    stop_on_signals(stop).map_err(|error| internal(&error))?;
+    runtime::run_live(setup, stop, observer).map_err(|error| {
         if let RunError::Hung(_) = error {
             // The hanging thread would meet the libraries' destructors at an ordinary end.
             eprintln!("freespace: {error}");

@@ -7,6 +7,9 @@ use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, St
 use crate::sink::recording::RunCounts;
 use crate::statistics::{DriveStatistics, Drops, Publication};
 
+/// What a device has to tell, a line at a time.
+pub(in crate::cli) type DeviceEvents = Box<dyn FnMut() -> Option<String>>;
+
 /// Counts a run; its memory does not grow with it.
 pub(in crate::cli) struct Watch {
     statistics: DriveStatistics,
@@ -14,6 +17,7 @@ pub(in crate::cli) struct Watch {
     progress: Progress,
     service: Service,
     memory: Option<MemoryWatch>,
+    devices: Vec<DeviceEvents>,
 }
 
 impl Watch {
@@ -24,7 +28,13 @@ impl Watch {
             progress,
             service: Service::from_environment(),
             memory: None,
+            devices: Vec::new(),
         }
+    }
+
+    /// Passes on what a device tells.
+    pub(in crate::cli) fn listen(&mut self, events: DeviceEvents) {
+        self.devices.push(events);
     }
 
     /// The run in numbers, once it is over.
@@ -47,6 +57,15 @@ impl Watch {
             restarts: summary.restarts,
         };
         (counts, self.statistics)
+    }
+
+    fn tell_device_events(&mut self) {
+        for events in &mut self.devices {
+            while let Some(line) = events() {
+                self.progress.interrupt();
+                eprintln!("{line}");
+            }
+        }
     }
 }
 
@@ -82,6 +101,7 @@ impl Observer for Watch {
 
     fn status(&mut self, status: &Status) {
         self.service.status(status, &self.statistics);
+        self.tell_device_events();
         if let Some(memory) = &mut self.memory {
             memory.look();
         }

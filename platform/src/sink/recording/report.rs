@@ -92,7 +92,9 @@ fn as_map<S: Serializer>(stages: &[(&'static str, Percentiles)], serializer: S) 
 }
 
 impl Report {
-    pub(super) fn new(counts: &RunCounts, statistics: &DriveStatistics, truth: Option<Truth>) -> Self {
+    /// The report of a run.
+    #[must_use]
+    pub fn new(counts: &RunCounts, statistics: &DriveStatistics, truth: Option<Truth>) -> Self {
         Self {
             key_frames: counts.key_frames,
             deadline_misses: counts.deadline_misses,
