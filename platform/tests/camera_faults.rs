@@ -6,8 +6,13 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::collections::BTreeMap;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
 use freespace::port::{CameraAnswer, CameraPort as _, Clock as _, FrameBuffer};
 use freespace_platform::camera::v4l2::{CameraEvent, Loss, OpenError, Refusal, V4l2Camera};
@@ -33,6 +38,13 @@ fn section(path: &Path) -> DeviceSection {
         controls: BTreeMap::new(),
         stamp_offset_s: 0.0,
     }
+}
+
+/// It stamps the end of a frame before it is there; the start of the exposure it stamps soundly.
+fn vivid(path: &Path) -> DeviceSection {
+    let mut section = section(path);
+    (section.controls).insert("timestamp_source".to_owned(), ControlValue::Integer(1));
+    section
 }
 
 const SIZE: ImageSize = ImageSize {
@@ -109,7 +121,7 @@ fn vivid_through_its_faults() {
     let Some(path) = device("FREESPACE_TEST_VIVID") else {
         return;
     };
-    let mut section = section(&path);
+    let mut section = vivid(&path);
     section
         .controls
         .insert("brightness".to_owned(), ControlValue::Integer(100));
@@ -150,28 +162,68 @@ fn vivid_through_its_faults() {
     assert_eq!(counts.bad_stamps, 0);
 }
 
-/// A program that writes a test picture to a loopback; ended when dropped.
-struct Writer(Child);
+/// Writes grey pictures to a loopback, 30 a second, until it is dropped.
+struct Writer {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
 
 impl Writer {
-    fn of(device: &Path, width: usize, height: usize) -> Self {
+    /// None while a reader holds the loopback to another size.
+    fn begin(device: &Path, width: usize, height: usize) -> Option<Self> {
         let format = format!("width={width},height={height},pixelformat=YUYV");
-        let child = Command::new("v4l2-ctl")
+        for keep in ["keep_format=0", "keep_format=1"] {
+            let set = Command::new("v4l2-ctl")
+                .arg("-d")
+                .arg(device)
+                .args(["-x", &format, "-c", keep])
+                .output();
+            if !set.unwrap().status.success() {
+                return None;
+            }
+        }
+        let set = Command::new("v4l2-ctl")
             .arg("-d")
             .arg(device)
-            .args(["-x", &format, "--stream-out-mmap", "--stream-out-pattern=0"])
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn();
-        std::thread::sleep(std::time::Duration::from_millis(300));
-        Self(child.unwrap())
+            .arg("--get-fmt-video-out")
+            .output()
+            .unwrap();
+        if !String::from_utf8_lossy(&set.stdout).contains(&format!("{width}/{height}")) {
+            return None;
+        }
+        let mut file = std::fs::OpenOptions::new().write(true).open(device).ok()?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let is_to_stop = Arc::clone(&stop);
+        let thread = std::thread::spawn(move || {
+            let picture = vec![128; 2 * width * height];
+            while !is_to_stop.load(Ordering::Relaxed) && file.write_all(&picture).is_ok() {
+                std::thread::sleep(Duration::from_millis(33));
+            }
+        });
+        Some(Self {
+            stop,
+            thread: Some(thread),
+        })
     }
 }
 
 impl Drop for Writer {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        self.stop.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+impl Watched {
+    /// A writer of that size, as soon as the reader lets the loopback go; no frame may come meanwhile.
+    fn silent_until_writer(&mut self, device: &Path, width: usize, height: usize) -> Writer {
+        for _ in 0..CALLS {
+            if let Some(writer) = Writer::begin(device, width, height) {
+                return writer;
+            }
+            assert_ne!(self.next(), CameraAnswer::Frame, "nobody writes");
+        }
+        panic!("the reader held the loopback all the time");
     }
 }
 
@@ -181,21 +233,18 @@ fn loopback_whose_writer_stops_and_comes_back_otherwise() {
         return;
     };
     let section = section(&path);
-    let writer = Writer::of(&path, SIZE.width, SIZE.height);
+    let writer = Writer::begin(&path, SIZE.width, SIZE.height).unwrap();
     let mut watched = Watched::open(&section);
     watched.frames(10);
     drop(writer);
     watched.until(CameraAnswer::Silent);
-    for _ in 0..30 {
-        watched.next();
-    }
-    let other = Writer::of(&path, 320, 240);
+    let other = watched.silent_until_writer(&path, 320, 240);
     for _ in 0..40 {
         let answer = watched.next();
         assert_ne!(answer, CameraAnswer::Frame, "a frame of another size is no frame");
     }
     drop(other);
-    let _writer = Writer::of(&path, SIZE.width, SIZE.height);
+    let _writer = watched.silent_until_writer(&path, SIZE.width, SIZE.height);
     watched.frames(10);
     eprintln!("  {:?}", watched.camera.status().counts());
     let told = watched.events();
@@ -210,7 +259,7 @@ fn vivid_is_refused_where_it_cannot_do_what_is_asked() {
     let Some(path) = device("FREESPACE_TEST_VIVID") else {
         return;
     };
-    let mut wrong = section(&path);
+    let mut wrong = vivid(&path);
     wrong
         .controls
         .insert("brightnes".to_owned(), ControlValue::Integer(100));
@@ -221,9 +270,28 @@ fn vivid_is_refused_where_it_cannot_do_what_is_asked() {
         width: 642,
         height: 480,
     };
-    let error = V4l2Camera::open(&section(&path), size, 30.0)
-        .map(drop)
-        .unwrap_err();
+    let error = V4l2Camera::open(&vivid(&path), size, 30.0).map(drop).unwrap_err();
     eprintln!("  {error}\n  fix: {}", error.fix());
     assert!(matches!(error, OpenError::NoFormat { .. }));
+}
+
+#[test]
+fn a_driver_that_stamps_ahead_of_time_is_noticed_and_set_right_by_the_offset() {
+    let Some(path) = device("FREESPACE_TEST_VIVID") else {
+        return;
+    };
+    let mut ahead = section(&path);
+    (ahead.controls).insert("timestamp_source".to_owned(), ControlValue::Integer(0));
+    let mut watched = Watched::open(&ahead);
+    for _ in 0..10 {
+        assert_ne!(
+            watched.next(),
+            CameraAnswer::Frame,
+            "a stamp of the future is never passed on"
+        );
+    }
+    assert!(watched.events().contains(&CameraEvent::Lost(Loss::StampAhead)));
+    drop(watched);
+    ahead.stamp_offset_s = -0.040;
+    Watched::open(&ahead).frames(10);
 }

@@ -385,9 +385,12 @@ impl Node for KernelNode {
 }
 
 fn clock_of(flags: u32) -> StampClock {
+    // A loopback sets both flags where its writer brought the stamp.
+    if flags & sys::V4L2_BUF_FLAG_TIMESTAMP_COPY != 0 {
+        return StampClock::Copied;
+    }
     match flags & sys::V4L2_BUF_FLAG_TIMESTAMP_MASK {
         sys::V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC => StampClock::Monotonic,
-        sys::V4L2_BUF_FLAG_TIMESTAMP_COPY => StampClock::Copied,
         _ => StampClock::Unknown,
     }
 }
