@@ -33,8 +33,8 @@ const MAPPED: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
 #[derive(Debug)]
 pub(super) struct Kernel(MonotonicClock);
 
-impl Default for Kernel {
-    fn default() -> Self {
+impl Kernel {
+    pub(super) fn new() -> Self {
         Self(MonotonicClock::of_devices())
     }
 }
