@@ -45,6 +45,10 @@ pub fn camera_device(system: &System, device: &DeviceSection, size: ImageSize, r
     };
     let watched = watch(&mut camera, size);
     let path = device.path.display();
+    let counts = camera.status().counts();
+    if watched.frames == 0 && counts.bad_stamps > 0 {
+        return verdict(path.to_string(), &counts, 0.0, rate_hz, None);
+    }
     let Some(mode) = camera.mode().filter(|_| watched.frames > 0) else {
         let mut told = camera.take_events();
         let why = told.as_mut().and_then(|events| events.next_event()).map_or_else(
@@ -65,7 +69,7 @@ pub fn camera_device(system: &System, device: &DeviceSection, size: ImageSize, r
     );
     verdict(
         seen,
-        &camera.status().counts(),
+        &counts,
         measured,
         rate_hz,
         stable_name(system, &device.path),
@@ -109,7 +113,8 @@ fn verdict(
         return Check::fails(
             NAME,
             what,
-            "update the kernel's driver, or for a USB camera: rmmod uvcvideo && modprobe uvcvideo hwtimestamps=0",
+            "for a USB camera: rmmod uvcvideo && modprobe uvcvideo hwtimestamps=0; where a driver always stamps ahead of time, \
+             set stamp_offset_s of [camera.device] to that much below zero",
         );
     }
     if counts.lost() > 0 {
