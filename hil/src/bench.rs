@@ -11,8 +11,9 @@ use freespace_platform::bad_input::BadInput;
 use freespace_platform::config::{Config, Wheels};
 use freespace_platform::world::Slip;
 
+use crate::drive::names;
 use crate::feed::{Feed, FeedError};
-use crate::listener::{Heard, Listener};
+use crate::listener::{Heard, Listener, candump};
 use crate::module::{Installation, Module};
 use crate::road::Road;
 
@@ -132,7 +133,7 @@ impl Bench {
         let module = Module::start(&rig.installation, record, &rig.file("module.log"))?;
         let first = listener
             .wait_for(TO_DRIVE, |heard| heard.is_good(STANDING))
-            .ok_or_else(|| BenchError::NoAnswer(module.last_words()))?;
+            .ok_or_else(|| no_answer(rig, &listener, &module, feed.lateness_micros(road.rate_hz)))?;
         Ok(Self {
             rig: rig.clone(),
             road,
@@ -143,6 +144,23 @@ impl Bench {
             started_micros,
         })
     }
+}
+
+/// What was heard instead of a good answer; all of it stands in the case's files.
+pub(crate) fn no_answer(rig: &Rig, listener: &Listener, module: &Module, late_micros: u64) -> BenchError {
+    let log = candump(&listener.frames(), &rig.interface);
+    // The error is told all the same.
+    let _ = std::fs::write(rig.file("bus.candump"), log);
+    let heard = listener.heard();
+    let last = heard
+        .last()
+        .map(|last| format!("{} with {}", last.level.name(), names(last.faults)));
+    BenchError::NoAnswer(format!(
+        "{} answers, {last:?}; pictures up to {} ms late; {}",
+        heard.len(),
+        late_micros / 1000,
+        module.last_words()
+    ))
 }
 
 /// Faults of the machine rather than of the drive: a bench without real-time rights is one all the same.

@@ -140,6 +140,8 @@ pub(crate) fn finish(bench: Bench, blind: Blind, mut seen: Seen) -> Result<Seen,
     ));
     seen.broken.extend(kept.broken);
     truth::judge(&frames, &road, &feed, &mut seen);
+    let late_ms = feed.lateness_micros(road.rate_hz) / 1000;
+    seen.note(format!("pictures at most {late_ms} ms late"));
     std::fs::write(rig.file("bus.candump"), candump(&frames, &rig.interface))?;
     Ok(seen)
 }

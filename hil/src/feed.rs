@@ -65,7 +65,8 @@ pub(crate) struct Feed {
 impl Feed {
     /// Starts to drive; the first picture leaves 0.3 s from now.
     pub(crate) fn start(show: Show, device: &Path, interface: &str) -> Result<Self, FeedError> {
-        let start_micros = now_micros() + 300_000;
+        // By then pictures wait.
+        let start_micros = now_micros() + 1_500_000;
         let switches = Arc::new(Switches::default());
         let is_over = Arc::new(AtomicBool::new(false));
         let sent = Arc::new(Mutex::new(Vec::new()));
@@ -93,8 +94,8 @@ impl Feed {
             sent: Arc::clone(&sent_wheels),
         };
         let threads = vec![
-            spawn("camera-feed", move || camera.run(start_micros))?,
-            spawn("wheel-feed", move || wheels.run(start_micros))?,
+            spawn("camera-feed", PRIORITY, move || camera.run(start_micros))?,
+            spawn("wheel-feed", PRIORITY, move || wheels.run(start_micros))?,
         ];
         Ok(Self {
             start_micros,
@@ -110,6 +111,15 @@ impl Feed {
     #[expect(clippy::cast_precision_loss, reason = "a drive of minutes")]
     pub(crate) fn seconds_at(&self, micros: u64) -> f64 {
         (micros.cast_signed() - self.start_micros.cast_signed()) as f64 * 1e-6
+    }
+
+    /// Latest that a picture was sent after its time: what the module makes of the rig, not of the road.
+    pub(crate) fn lateness_micros(&self, rate_hz: f64) -> u64 {
+        let late = |sent: &Sent| {
+            sent.at_micros
+                .saturating_sub(self.start_micros + picture_micros(sent.picture, rate_hz))
+        };
+        self.sent().iter().map(late).max().unwrap_or(0)
     }
 
     /// Pictures that were sent until now.
@@ -137,11 +147,15 @@ impl Drop for Feed {
     }
 }
 
-fn spawn(name: &str, body: impl FnOnce() + Send + 'static) -> std::io::Result<JoinHandle<()>> {
+/// A thread of that priority; without the right it may be late, and the case says by how much.
+pub(crate) fn spawn(
+    name: &str,
+    priority: u8,
+    body: impl FnOnce() + Send + 'static,
+) -> std::io::Result<JoinHandle<()>> {
     let mut config = RealTimeConfig::default();
-    config.threads[ThreadRole::Camera as usize].policy = Policy::Fifo(PRIORITY);
+    config.threads[ThreadRole::Camera as usize].policy = Policy::Fifo(priority);
     std::thread::Builder::new().name(name.to_owned()).spawn(move || {
-        // Without the right the feed may be late, and the stamps say so.
         let _ = rights::enter(ThreadRole::Camera, &config);
         body();
     })

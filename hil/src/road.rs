@@ -6,13 +6,15 @@
 use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, sync_channel};
 
-use crate::feed::Show;
+use crate::feed::{Show, spawn};
 use freespace::frame::{Camera, RgbImage};
 use freespace::track::{WheelConfig, WheelReading};
 use freespace_platform::world::{Encoders, Sensor, SimCamera, SimWheels, Slip, Textures, World, WorldConfig};
 
-/// Pictures rendered ahead: a third of a second.
-const AHEAD: usize = 10;
+/// Pictures rendered ahead: a second and a half, while the module starts and wants the processor.
+const AHEAD: usize = 45;
+/// Above all normal work, under the module's own threads: a road that is late would be another road.
+const PRIORITY: u8 = 5;
 
 /// What drives where.
 #[derive(Clone)]
@@ -58,9 +60,7 @@ impl Road {
     pub(crate) fn show(&self) -> std::io::Result<Show> {
         let (send, receive) = sync_channel(AHEAD);
         let road = self.clone();
-        std::thread::Builder::new()
-            .name("road".to_owned())
-            .spawn(move || road.render(&send))?;
+        spawn("road", PRIORITY, move || road.render(&send))?;
         let road = self.clone();
         Ok(Show {
             width: self.camera.width,

@@ -1,5 +1,7 @@
 //! Cameras: one file a technology.
 
+#[cfg(test)]
+mod conformance;
 pub mod replay;
 mod sim;
 pub mod v4l2;

@@ -101,6 +101,10 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
     let (network, timing) = network_check;
     checks.push(network);
     checks.push(doctor::camera(&system));
+    if let Some((device, size)) = config.camera.device.as_ref().zip(config.camera.size()) {
+        let rate_hz = config.camera.frame_rate_hz;
+        checks.push(doctor::camera_device(&system, device, size, rate_hz));
+    }
     checks.push(doctor::can(&system, doctor::bitrate_by_ip));
     checks.extend(doctor::can_interfaces(
         &system,

@@ -260,17 +260,23 @@ fn known_keys(text: &str) -> BTreeSet<String> {
 fn schema_has_the_keys_that_the_program_knows() {
     let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
     let text = format!(
+<<<<<<< HEAD
         "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n[can]\n",
         shipped("kitti").replace(
             "[wheels]\n",
             "[wheels]\nchecksum = { signal = \"S\", algorithm = \"xor\" }\n"
         )
+=======
+        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n[camera.device]\npath = \"/dev/video0\"\n",
+        shipped("kitti")
+>>>>>>> v4l2
     );
     let cases = [
         ("", "zzz = 1\n[camera]", "[camera]"),
         ("/camera", "[camera]\nzzz = 1", "[camera]"),
         ("/camera/mount", "[camera.mount]\nzzz = 1", "[camera.mount]"),
         ("/camera/lens", "[camera.lens]\nzzz = 1", "[camera.lens]"),
+        ("/camera/device", "[camera.device]\nzzz = 1", "[camera.device]"),
         ("/wheels", "[wheels]\nzzz = 1", "[wheels]"),
         ("/wheels/signals", "signals = { zzz = 1, ", "signals = { "),
         (
@@ -357,4 +363,49 @@ fn frames_of_another_size_are_refused() {
     let config = parse(shipped("camvid")).unwrap();
     let error = config.camera_for(Path::new("clip"), 640, 480).unwrap_err();
     assert!(error.message().contains("frames are 640x480") && error.message().contains("480x360"));
+}
+
+#[test]
+fn a_camera_device_is_read_and_its_faults_are_told() {
+    let with = |table: &str| parse(&format!("{}\n[camera.device]\n{table}\n", shipped("toyota")));
+    let device = with("path = \"/dev/video0\"").unwrap().camera.device.unwrap();
+    assert_eq!((device.formats[0], device.buffers), (DeviceFormat::Yuyv, 4));
+    assert_eq!(device.formats.last(), Some(&DeviceFormat::Mjpeg));
+    let text = "path = \"/dev/v4l/by-path/x\"\nformats = [\"mjpeg\"]\nstamp_offset_s = -0.008\n\
+                controls = { auto_exposure = \"manual_mode\", gain = 3, white_balance_automatic = false }";
+    let device = with(text).unwrap().camera.device.unwrap();
+    assert_eq!(device.stamp_offset_micros(), -8_000);
+    assert_eq!(device.controls["gain"], ControlValue::Integer(3));
+    assert_eq!(
+        device.controls["white_balance_automatic"],
+        ControlValue::Bool(false)
+    );
+    for (table, message) in [
+        ("", "key `path` is missing in [camera.device]"),
+        ("path = \"video0\"", "`video0` is no path of a device"),
+        ("path = \"/dev/video0\"\nformats = []", "names no format"),
+        (
+            "path = \"/dev/video0\"\nformats = [\"h264\"]",
+            "unknown value \"h264\"",
+        ),
+        (
+            "path = \"/dev/video0\"\nbuffers = 1",
+            "`camera.device.buffers` is 1",
+        ),
+        (
+            "path = \"/dev/video0\"\nstamp_offset_s = 20",
+            "`camera.device.stamp_offset_s` is 20",
+        ),
+        (
+            "path = \"/dev/video0\"\ncontrols = { gain = 0.5 }",
+            "a whole number, true or false",
+        ),
+    ] {
+        let error = with(table).unwrap_err();
+        assert!(error.message().contains(message), "{table}: {error}");
+        assert!(!error.fix().is_empty());
+    }
+    let unsized_camera = format!("{}\n[camera.device]\npath = \"/dev/video0\"\n", shipped("kitti"));
+    let error = parse(&unsized_camera).unwrap_err();
+    assert!(error.fix().contains("width and height"), "{error}");
 }

@@ -6,6 +6,7 @@
 //! and the network's start.
 
 mod can;
+mod camera_device;
 mod devices;
 mod jitter;
 mod kernel;
@@ -15,6 +16,7 @@ mod rights;
 mod system;
 
 pub use can::{can_interfaces, can_stamps};
+pub use camera_device::camera_device;
 pub use devices::{bitrate_by_ip, camera, can, shared_memory};
 pub use jitter::{Jitter, JitterError, PERIOD_MICROS, measure_jitter};
 pub use kernel::{huge_pages, kernel, swap, throttling};

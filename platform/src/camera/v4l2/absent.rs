@@ -10,8 +10,14 @@ use super::node::{Abilities, Buffers, Control, Devices, Filled, FourCc, Interval
 use crate::clock::MonotonicClock;
 
 /// No device at all.
-#[derive(Debug, Default)]
-pub(super) struct Kernel;
+#[derive(Debug)]
+pub(super) struct Kernel(MonotonicClock);
+
+impl Kernel {
+    pub(super) fn new() -> Self {
+        Self(MonotonicClock::of_devices())
+    }
+}
 
 /// There is none.
 pub(super) enum Nothing {}
@@ -24,7 +30,7 @@ impl Devices for Kernel {
     }
 
     fn now(&self) -> Micros {
-        MonotonicClock::of_devices().now()
+        self.0.now()
     }
 
     fn pause(&mut self, micros: u64) {

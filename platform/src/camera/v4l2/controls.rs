@@ -14,6 +14,12 @@ use crate::config::ControlValue;
 /// Controls looked through at most: drivers have dozens, and a driver that goes round in circles must not keep us.
 const MOST: usize = 512;
 
+/// Items of a menu looked through at most.
+const MOST_ITEMS: i64 = 256;
+
+/// Names listed where one is not known.
+const LISTED: usize = 12;
+
 /// What is wrong with a control, and its fix.
 type Problem = (String, String);
 
@@ -74,7 +80,6 @@ fn list(node: &mut impl Node) -> Result<Vec<Control>, Errno> {
 }
 
 fn find<'a>(known: &'a [Control], name: &str) -> Result<&'a Control, Problem> {
-    let offered = || known.iter().filter(|control| is_offered(control));
     if let Some(control) = known.iter().find(|control| plain(&control.name) == name) {
         return if is_offered(control) {
             Ok(control)
@@ -85,12 +90,21 @@ fn find<'a>(known: &'a [Control], name: &str) -> Result<&'a Control, Problem> {
             ))
         };
     }
-    let names: Vec<String> = offered().map(|control| plain(&control.name)).collect();
+    let names: Vec<String> = (known.iter().filter(|control| is_offered(control)))
+        .map(|control| plain(&control.name))
+        .collect();
     let hint = closest(name, names.iter().map(String::as_str))
         .map_or_else(String::new, |meant| format!("did you mean `{meant}`? "));
+    let rest = names.len().saturating_sub(LISTED);
+    let more = if rest > 0 {
+        format!(" and {rest} more, see `v4l2-ctl --list-ctrls`")
+    } else {
+        String::new()
+    };
+    let first = &names[..names.len().min(LISTED)];
     Err((
         "the device has none of that name".to_owned(),
-        format!("{hint}it has: {}", names.join(", ")),
+        format!("{hint}it has: {}{more}", first.join(", ")),
     ))
 }
 
@@ -160,7 +174,7 @@ fn item(node: &mut impl Node, control: &Control, name: &str) -> Result<Result<i3
 
 fn items(node: &mut impl Node, control: &Control) -> Result<Vec<(i32, String)>, Errno> {
     let mut items = Vec::new();
-    let last = control.maximum.min(control.minimum.saturating_add(MOST as i64));
+    let last = control.maximum.min(control.minimum.saturating_add(MOST_ITEMS));
     for number in control.minimum..=last {
         let Ok(number) = i32::try_from(number) else {
             break;

@@ -108,9 +108,12 @@ mod tests {
     }
 
     fn without_tables(mut picture: Vec<u8>) -> Vec<u8> {
-        while let Some(at) = picture.windows(2).position(|pair| pair == [0xff, HUFFMAN_TABLES]) {
+        while let Some(at) = picture
+            .windows(4)
+            .position(|four| four[..2] == [0xff, HUFFMAN_TABLES])
+        {
             let len = usize::from(u16::from_be_bytes([picture[at + 2], picture[at + 3]]));
-            picture.drain(at..at + 2 + len);
+            picture.drain(at..picture.len().min(at + 2 + len));
         }
         picture
     }

@@ -33,8 +33,8 @@ const MAPPED: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
 #[derive(Debug)]
 pub(super) struct Kernel(MonotonicClock);
 
-impl Default for Kernel {
-    fn default() -> Self {
+impl Kernel {
+    pub(super) fn new() -> Self {
         Self(MonotonicClock::of_devices())
     }
 }
@@ -385,9 +385,12 @@ impl Node for KernelNode {
 }
 
 fn clock_of(flags: u32) -> StampClock {
+    // A loopback sets both flags where its writer brought the stamp.
+    if flags & sys::V4L2_BUF_FLAG_TIMESTAMP_COPY != 0 {
+        return StampClock::Copied;
+    }
     match flags & sys::V4L2_BUF_FLAG_TIMESTAMP_MASK {
         sys::V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC => StampClock::Monotonic,
-        sys::V4L2_BUF_FLAG_TIMESTAMP_COPY => StampClock::Copied,
         _ => StampClock::Unknown,
     }
 }

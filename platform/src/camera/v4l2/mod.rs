@@ -129,7 +129,7 @@ impl V4l2Camera {
         let (teller, status, events) = Teller::new(&request.device);
         let offset = device.stamp_offset_micros();
         Ok(Self {
-            port: Reconnecting::open(Kernel::default(), request, offset, teller)?,
+            port: Reconnecting::open(Kernel::new(), request, offset, teller)?,
             status,
             events: Some(events),
         })

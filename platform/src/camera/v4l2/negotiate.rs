@@ -16,8 +16,20 @@ use crate::config::DeviceFormat;
 /// A rate this near is the one asked for: 29.97 Hz is 30.
 const RATE_TOLERANCE: f64 = 0.05;
 
-/// Formats and sizes listed of a device that does not fit; the rest is `v4l2-ctl`'s.
+/// Sizes listed of a format of a device that does not fit; the rest is `v4l2-ctl`'s.
 const LISTED: u32 = 8;
+
+/// Formats looked through at most.
+const MOST_FORMATS: u32 = 256;
+
+/// Formats that the core reads, or that are decoded for it.
+const READ: [DeviceFormat; 5] = [
+    DeviceFormat::Yuyv,
+    DeviceFormat::Nv12,
+    DeviceFormat::Rgb24,
+    DeviceFormat::Grey,
+    DeviceFormat::Mjpeg,
+];
 
 /// What was agreed with a driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,10 +140,15 @@ fn millihertz(rate_hz: f64) -> u32 {
 /// What the device has, for the message; as much as it tells.
 fn offers(node: &mut impl Node) -> String {
     let mut list = String::new();
-    for number in 0..LISTED {
+    let mut others = 0;
+    for number in 0..MOST_FORMATS {
         let Ok(format) = node.format_at(number) else {
             break;
         };
+        if !READ.map(four_cc).contains(&format) {
+            others += 1;
+            continue;
+        }
         let separator = if list.is_empty() { "" } else { ", " };
         let _ = write!(list, "{separator}{format}");
         for number in 0..LISTED {
@@ -142,7 +159,10 @@ fn offers(node: &mut impl Node) -> String {
         }
     }
     if list.is_empty() {
-        list.push_str("nothing that it tells");
+        list.push_str("none of the formats that are read");
+    }
+    if others > 0 {
+        let _ = write!(list, " ({others} other formats are not read)");
     }
     list
 }

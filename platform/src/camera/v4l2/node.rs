@@ -1,6 +1,10 @@
 //! What is asked of the kernel, as two small traits: so that a script can stand in for a camera.
 //!
 //! Each call of [`Node`] is one request of V4L2; the answers are plain values. Nothing is decided here.
+#![cfg_attr(
+    not(feature = "v4l2"),
+    allow(dead_code, reason = "answers that only the kernel gives")
+)]
 
 use std::path::Path;
 

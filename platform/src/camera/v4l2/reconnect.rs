@@ -102,10 +102,7 @@ impl<D: Devices> Reconnecting<D> {
             }
             Err(trouble) => {
                 match &trouble {
-                    Trouble::Away(errno) => {
-                        let errno = errno.raw_os_error();
-                        self.teller.tell_once(CameraEvent::Away { errno });
-                    }
+                    Trouble::Away(errno) => self.teller.tell_once(CameraEvent::away(*errno)),
                     Trouble::Wrong(error) => {
                         self.teller.count(|counters| &counters.refusals, 1);
                         self.teller.tell_once(CameraEvent::Refused(error.kind()));
@@ -150,9 +147,7 @@ impl<D: Devices> Reconnecting<D> {
     }
 
     fn gone(&mut self, errno: Errno) {
-        self.disconnect(CameraEvent::Away {
-            errno: errno.raw_os_error(),
-        });
+        self.disconnect(CameraEvent::away(errno));
     }
 
     fn answer(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {

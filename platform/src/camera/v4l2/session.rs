@@ -97,7 +97,8 @@ impl<N: Node> Session<N> {
             let filled = match self.node.dequeue() {
                 Ok(filled) => filled,
                 Err(Errno::AGAIN) => break,
-                // What was taken until now belongs to a device that is gone.
+                // A frame that is sound counts; the next call meets the fault again.
+                Err(_) if matches!(newest, Newest::Frame(_)) => break,
                 Err(errno) => return Err(errno),
             };
             let (index, missing) = count.take(filled.sequence);

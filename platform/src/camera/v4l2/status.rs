@@ -53,11 +53,24 @@ pub enum Loss {
     StampClock,
 }
 
+impl CameraEvent {
+    /// Of what the kernel answers while a camera is being pulled out, each is the same to the driver of the car.
+    pub(super) const fn away(errno: Errno) -> Self {
+        let errno = match errno {
+            Errno::NODEV | Errno::NXIO => Errno::NOENT,
+            errno => errno,
+        };
+        Self::Away {
+            errno: errno.raw_os_error(),
+        }
+    }
+}
+
 impl fmt::Display for CameraEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Away { errno } => match Errno::from_raw_os_error(errno) {
-                Errno::NOENT | Errno::NODEV | Errno::NXIO => {
+                Errno::NOENT => {
                     f.write_str("the camera is not there; it is looked for every two seconds")
                 }
                 Errno::BUSY => f.write_str("another program uses the camera; it is tried every two seconds"),
