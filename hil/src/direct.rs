@@ -12,12 +12,15 @@ use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer, WheelPort};
 use freespace::segmentation::{Tile, TileConfig};
 use freespace::space::Micros;
+use freespace::stage::Stage;
 use freespace::track::WheelConfig;
 use freespace_platform::clock::MonotonicClock;
 use freespace_platform::config::{Config, Wheels};
 use freespace_platform::eval::{npy, trajectory};
 use freespace_platform::runtime::memory::MemoryPlan;
-use freespace_platform::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup, run_in_lockstep};
+use freespace_platform::runtime::{
+    Devices, FaultModel, FrameReport, KeyFrameReport, Observer, Setup, run_modelled,
+};
 use freespace_platform::segmenter::{self, EngineChoice, Manifest, Segmenter};
 use freespace_platform::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
 use freespace_platform::world::{Sensor, SimCamera};
@@ -59,7 +62,7 @@ pub(crate) fn case(rig: &Rig) -> Result<Seen, BenchError> {
             stamps.len()
         ),
     );
-    let direct = replay(rig, &road, frames, &log)?;
+    let direct = replay(rig, &road, frames, &log, &times_of(&record)?)?;
     compare(&record, &direct, &mut seen)?;
     Ok(seen)
 }
@@ -111,7 +114,41 @@ fn pair(stamps: &[u64], sent: &[Sent]) -> Vec<(u64, u64)> {
 /// Grids by capture stamp.
 type Grids = BTreeMap<u64, Vec<i8>>;
 
-fn replay(rig: &Rig, road: &Road, frames: Vec<(u64, u64)>, log: &Path) -> Result<Grids, BenchError> {
+/// What the stages took in the recorded drive, their medians: when a map reaches the tracker decides on what it does.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "milliseconds of a stage"
+)]
+fn times_of(record: &Path) -> Result<FaultModel, BenchError> {
+    let report: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(record.join("report.json"))?).unwrap_or_default();
+    let micros = |stage: Stage| {
+        let millis = report["stages_ms"][stage.name()]["p50"]
+            .as_f64()
+            .unwrap_or_default();
+        (millis * 1e3).round() as u64
+    };
+    Ok(FaultModel {
+        costs_micros: Stage::ALL.map(|stage| {
+            if stage == Stage::Segmentation {
+                (0, 0)
+            } else {
+                (micros(stage), 0)
+            }
+        }),
+        network_micros: micros(Stage::Segmentation),
+        injection: None,
+    })
+}
+
+fn replay(
+    rig: &Rig,
+    road: &Road,
+    frames: Vec<(u64, u64)>,
+    log: &Path,
+    times: &FaultModel,
+) -> Result<Grids, BenchError> {
     let (config, ..) = rig.config()?;
     let words = |error: &dyn std::error::Error| BenchError::Config(error.to_string());
     let Wheels::Can(can) = config.wheels() else {
@@ -128,7 +165,7 @@ fn replay(rig: &Rig, road: &Road, frames: Vec<(u64, u64)>, log: &Path) -> Result
     let camera = Again::new(road, frames);
     let setup = setup(rig, Box::new(camera), Some(Box::new(wheels)), network)?;
     let mut collector = Collector::default();
-    run_in_lockstep(setup, &mut collector);
+    run_modelled(setup, times, &mut collector);
     Ok(collector.0)
 }
 
