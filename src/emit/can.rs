@@ -33,6 +33,17 @@ pub struct CanFrame {
     pub data: heapless::Vec<u8, 64>,
 }
 
+impl CanFrame {
+    /// Whether the frame is one of CAN FD: it is where it must be.
+    #[must_use]
+    pub fn is_fd(&self) -> bool {
+        self.data.len() > CLASSIC_BYTES
+    }
+}
+
+/// Largest data of a classic frame.
+pub const CLASSIC_BYTES: usize = 8;
+
 /// Identifier of the status frame; see `config/freespace.dbc`.
 pub const STATUS_ID: u32 = 0x600;
 /// Identifier of the timing frame.
@@ -185,34 +196,6 @@ fn sectors(h: &Header, group: usize) -> u64 {
     free_m.iter().enumerate().fold(0, |payload, (slot, &m)| {
         payload | unsigned(f64::from(m), 0.02, start(slot), 12)
     })
-}
-
-/// What a set of frames costs a bus.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BusLoad {
-    /// Bits a second, worst-case bit stuffing and the space between frames included.
-    pub bits_per_second: f64,
-    /// Share of the bit rate.
-    pub share: f64,
-}
-
-impl BusLoad {
-    /// The load of publishing all frames `hertz` times a second on a bus of `bit_rate` bits a second.
-    #[must_use]
-    pub fn of_publications(hertz: f64, bit_rate: f64) -> Self {
-        let bits_per_second = hertz * FRAMES as f64 * f64::from(frame_bits(8, false));
-        Self {
-            bits_per_second,
-            share: bits_per_second / bit_rate,
-        }
-    }
-}
-
-/// Longest time of a classic frame on the bus in bits: Davis, Burns, Bril and Lukkien (2007), equation 1.
-#[must_use]
-pub const fn frame_bits(bytes: u32, extended: bool) -> u32 {
-    let stuffable = if extended { 54 } else { 34 } + 8 * bytes;
-    stuffable + 13 + (stuffable - 1) / 4
 }
 
 #[cfg(test)]

@@ -4,11 +4,15 @@
 //! and [`CanFrame`]s as `config/freespace.dbc` describes them. Invariant: whatever is encoded decodes to the same values;
 //! damaged bytes are refused. Cost: one pass over the message; no allocation.
 
+mod bus_load;
 pub mod can;
-mod crc;
+pub mod crc;
+pub mod grid_frames;
 mod message;
 
-pub use can::{BusLoad, CanEncoder, CanFrame};
+pub use bus_load::{BitRates, BusLoad, FdFrameBits, fd_frame_bits, frame_bits};
+pub use can::{CanEncoder, CanFrame};
+pub use grid_frames::{GridEncoder, GridReader};
 pub use message::{DecodeError, EncodeError, FreeSpaceMessage};
 
 use crate::budget::SECTORS;
