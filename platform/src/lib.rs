@@ -2,6 +2,7 @@
 
 pub mod bad_input;
 pub mod camera;
+pub mod can;
 pub mod cli;
 pub mod clock;
 pub mod config;

@@ -5,14 +5,18 @@
 //! the line and the fix. `config/freespace.schema.json` describes the same keys for editors.
 
 mod camera;
+mod can;
 mod document;
 mod runtime;
 mod stages;
 mod wheels;
 
 pub use camera::{CameraSection, LensModel, LensSection};
+pub use can::{CanOut, CanSection};
 pub use runtime::{PolicyName, RuntimeSection, ThreadSection};
-pub use wheels::{CanWheels, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection};
+pub use wheels::{
+    CanWheels, ChecksumSection, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection,
+};
 
 use std::path::{Path, PathBuf};
 
@@ -41,6 +45,9 @@ pub struct Config {
     /// Wheel encoders; none without this table.
     #[serde(default)]
     pub wheels: WheelsSection,
+    /// What is sent on CAN; nothing without this table.
+    #[serde(default)]
+    pub can: CanSection,
     /// Segmentation network.
     pub network: NetworkSection,
     /// When a frame becomes a key frame.
@@ -251,7 +258,8 @@ impl Config {
                 "pixels",
             )?;
         }
-        self.check_stages()
+        self.check_stages()?;
+        self.plan_can().map(drop)
     }
 
     /// Slices of the deadline.

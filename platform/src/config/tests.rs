@@ -210,6 +210,42 @@ fn contradictions_are_refused() {
             "[priors.belief]\nwitness_against = 3.0\n[network]",
             "`priors.belief.witness_against` is 3",
         ),
+        (
+            "toyota",
+            "source = \"can\"",
+            "source = \"can\"\nchecksum = { signal = \"S\", algorithm = \"autosar_e2e_p01\" }",
+            "`wheels.checksum` lacks `data_id`",
+        ),
+        (
+            "toyota",
+            "source = \"can\"",
+            "source = \"can\"\ninterface = \"can 0\"",
+            "`wheels.interface` is \"can 0\"",
+        ),
+        (
+            "kitti",
+            "source = \"can\"",
+            "source = \"can\"\ninterface = \"can0\"",
+            "`wheels.time_offset_s` is 1700000000",
+        ),
+        (
+            "demo",
+            "[network]",
+            "[can]\ninterface = \"can0\"\ngrid = true\n[network]",
+            "`can.fd` is not",
+        ),
+        (
+            "demo",
+            "[network]",
+            "[can]\ninterface = \"can0\"\nfd = true\ngrid = true\nshare = 0.1\n[network]",
+            "take 18 % of the bus",
+        ),
+        (
+            "demo",
+            "[network]",
+            "[can]\nbit_rate = 2000000\n[network]",
+            "`can.bit_rate` is 2000000",
+        ),
     ];
     for (name, from, to, message) in cases {
         assert!(shipped(name).contains(from), "{name} has no {from}");
@@ -230,8 +266,11 @@ fn known_keys(text: &str) -> BTreeSet<String> {
 fn schema_has_the_keys_that_the_program_knows() {
     let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
     let text = format!(
-        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n",
-        shipped("kitti")
+        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n[can]\n",
+        shipped("kitti").replace(
+            "[wheels]\n",
+            "[wheels]\nchecksum = { signal = \"S\", algorithm = \"xor\" }\n"
+        )
     );
     let cases = [
         ("", "zzz = 1\n[camera]", "[camera]"),
@@ -245,6 +284,8 @@ fn schema_has_the_keys_that_the_program_knows() {
             "[wheels.direction]\nzzz = 1",
             "[wheels.direction]",
         ),
+        ("/can", "[can]\nzzz = 1", "[can]"),
+        ("/wheels/checksum", "checksum = { zzz = 1, ", "checksum = { "),
         ("/network", "[network]\nzzz = 1", "[network]"),
         ("/key_frames", "[key_frames]\nzzz = 1", "[key_frames]"),
         ("/deadline", "[deadline]\nzzz = 1", "[deadline]"),
@@ -322,4 +363,34 @@ fn frames_of_another_size_are_refused() {
     let config = parse(shipped("camvid")).unwrap();
     let error = config.camera_for(Path::new("clip"), 640, 480).unwrap_err();
     assert!(error.message().contains("frames are 640x480") && error.message().contains("480x360"));
+}
+
+#[test]
+fn the_interfaces_that_a_configuration_suggests_make_a_plan() {
+    let text = shipped("toyota")
+        .replace("# interface", "interface")
+        .replace("# [can]", "[can]");
+    let text = text
+        .replace("# bit_rate", "bit_rate")
+        .replace("# fd", "fd")
+        .replace("# grid", "grid");
+    let config = parse(&text).unwrap();
+    let out = config.can_out().unwrap();
+    assert_eq!((out.interface.as_deref(), out.grid_frames), (Some("can1"), 208));
+    assert!(
+        out.to_string().contains("17.54 % of a bus of 500 kbit/s"),
+        "{out}"
+    );
+    let Wheels::Can(wheels) = config.wheels() else {
+        panic!("no CAN wheels");
+    };
+    assert_eq!(wheels.interface.as_deref(), Some("can0"));
+    assert!(
+        parse(shipped("toyota"))
+            .unwrap()
+            .can_out()
+            .unwrap()
+            .interface
+            .is_none()
+    );
 }

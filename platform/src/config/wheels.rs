@@ -5,10 +5,12 @@ use std::path::PathBuf;
 use freespace::track::WheelConfig;
 use serde::Deserialize;
 
+use super::can::interface_name;
 use super::{Invalid, within};
 use crate::wheels::WheelMapping;
 use crate::wheels::dbc::SpeedUnit;
 pub use crate::wheels::dbc::WheelKind;
+use crate::wheels::integrity::{ChecksumAlgorithm, ChecksumMapping};
 
 /// What the config says of the wheel encoders.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -26,6 +28,12 @@ pub struct WheelsSection {
     pub signals: Option<FourSignals>,
     /// Signals of the direction of travel, of counters that do not tell.
     pub direction: Option<DirectionSignals>,
+    /// Alive counter of the message.
+    pub counter: Option<String>,
+    /// Check sum of the message.
+    pub checksum: Option<ChecksumSection>,
+    /// Interface that the message is read from in a live run.
+    pub interface: Option<String>,
     /// Metres a raw count, before the DBC's factor.
     pub metres_per_count: Option<f64>,
     /// Raw values of a counter before it wraps.
@@ -111,6 +119,45 @@ impl DirectionSignals {
     }
 }
 
+/// The check sum of the wheel message.
+#[derive(Clone, Debug, Deserialize, PartialEq, Eq)]
+#[serde(deny_unknown_fields)]
+pub struct ChecksumSection {
+    /// Its signal: one whole byte.
+    pub signal: String,
+    /// How it is computed.
+    pub algorithm: ChecksumAlgorithm,
+    /// The data id of `autosar_e2e_p01`.
+    pub data_id: Option<u16>,
+}
+
+impl ChecksumSection {
+    /// The same as the decoder takes it.
+    fn plan(&self) -> Result<ChecksumMapping, Invalid> {
+        const KEY: &str = "wheels.checksum";
+        let needs_id = self.algorithm == ChecksumAlgorithm::AutosarE2eP01;
+        if needs_id != self.data_id.is_some() {
+            let (problem, fix) = if needs_id {
+                (
+                    "lacks `data_id`",
+                    "add the message's data id, such as data_id = 0x123",
+                )
+            } else {
+                (
+                    "has a `data_id` that its algorithm does not use",
+                    "remove `data_id`",
+                )
+            };
+            return Err(Invalid::new(KEY, format!("`{KEY}` {problem}"), fix));
+        }
+        Ok(ChecksumMapping {
+            signal: self.signal.clone(),
+            algorithm: self.algorithm,
+            data_id: self.data_id.unwrap_or(0),
+        })
+    }
+}
+
 /// The checked plan.
 #[derive(Clone, Debug)]
 pub enum Wheels {
@@ -133,6 +180,12 @@ pub struct CanWheels {
     pub signals: FourSignals,
     /// Signals of the direction of travel.
     pub direction: Option<DirectionSignals>,
+    /// Alive counter of the message.
+    pub counter: Option<String>,
+    /// Check sum of the message.
+    pub checksum: Option<ChecksumMapping>,
+    /// Interface that the message is read from in a live run.
+    pub interface: Option<String>,
     /// Counters or speeds.
     pub kind: WheelKind,
     /// Unit of the speeds, where the DBC states none or a wrong one.
@@ -163,6 +216,8 @@ impl CanWheels {
             signals: owned(self.signals.names()),
             directions: self.direction.as_ref().map(|direction| owned(direction.names())),
             faults: None,
+            counter: self.counter.clone(),
+            checksum: self.checksum.clone(),
             kind: self.kind,
             unit: self.unit,
             direction_ahead: forward,
@@ -194,6 +249,9 @@ impl WheelsSection {
             ("wheels.dbc", self.dbc.is_some()),
             ("wheels.message", self.message.is_some()),
             ("wheels.signals", self.signals.is_some()),
+            ("wheels.counter", self.counter.is_some()),
+            ("wheels.checksum", self.checksum.is_some()),
+            ("wheels.interface", self.interface.is_some()),
         ];
         match given.into_iter().find(|(_, given)| *given) {
             Some((key, _)) => Err(Invalid::new(
@@ -212,7 +270,9 @@ impl WheelsSection {
             "set it to \"counts\" or \"speeds\"",
         )?;
         let time_offset_s = self.time_offset_s.unwrap_or(0.0);
-        within("wheels.time_offset_s", time_offset_s, -1e10..=1e10, "seconds")?;
+        // A log may have another epoch; an interface is stamped on the frames' own clock, but for what buses and cameras delay.
+        let most_s = if self.interface.is_some() { 1.0 } else { 1e10 };
+        within("wheels.time_offset_s", time_offset_s, -most_s..=most_s, "seconds")?;
         Ok(CanWheels {
             dbc: required(
                 "wheels.dbc",
@@ -230,6 +290,11 @@ impl WheelsSection {
                 "signals = { front_left = \"...\", front_right = \"...\", rear_left = \"...\", rear_right = \"...\" }",
             )?,
             direction: self.direction.clone(),
+            counter: self.counter.clone(),
+            checksum: self.checksum.as_ref().map(ChecksumSection::plan).transpose()?,
+            interface: (self.interface.as_deref())
+                .map(|name| interface_name("wheels.interface", name))
+                .transpose()?,
             kind,
             unit: self.unit,
             time_offset_s,

@@ -1,3 +1,6 @@
 //! Sinks: where results go; one folder or file a technology.
 
 pub mod recording;
+mod socketcan;
+
+pub use socketcan::SocketcanSink;

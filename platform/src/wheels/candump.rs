@@ -102,12 +102,31 @@ pub struct CandumpSummary {
     pub flagged: u64,
     /// Wheel messages with a speed beyond the DBC's range.
     pub out_of_range: u64,
+    /// Wheel messages with a wrong check sum.
+    pub checksum: u64,
+    /// Wheel messages whose alive counter stands still.
+    pub counter_stuck: u64,
+    /// Wheel messages whose alive counter leaps.
+    pub counter_jumped: u64,
     /// Readings left out because their stamp is earlier than the one before.
     pub stamps_back: u64,
     /// Readings left out because the offset moves them before time zero.
     pub before_start: u64,
     /// Readings kept.
     pub readings: u64,
+}
+
+impl CandumpSummary {
+    /// Wheel messages that gave no reading, for what they say themselves.
+    #[must_use]
+    pub const fn refused(&self) -> u64 {
+        self.short
+            + self.flagged
+            + self.out_of_range
+            + self.checksum
+            + self.counter_stuck
+            + self.counter_jumped
+    }
 }
 
 /// The wheel readings of a log.
@@ -131,7 +150,7 @@ impl CandumpWheels {
         let mut lines = BufReader::new(File::open(path).map_err(read)?);
         let mut log = Log {
             path,
-            decoder,
+            decoder: decoder.clone(),
             options,
             readings: Vec::new(),
             summary: CandumpSummary::default(),
@@ -175,7 +194,7 @@ impl WheelPort for CandumpWheels {
 /// A log being read.
 struct Log<'a> {
     path: &'a Path,
-    decoder: &'a WheelDecoder,
+    decoder: WheelDecoder,
     options: &'a CandumpOptions,
     readings: Vec<WheelReading>,
     summary: CandumpSummary,
@@ -226,6 +245,9 @@ impl Log<'_> {
                     DecodeFault::Short => &mut summary.short,
                     DecodeFault::Flagged => &mut summary.flagged,
                     DecodeFault::OutOfRange => &mut summary.out_of_range,
+                    DecodeFault::Checksum => &mut summary.checksum,
+                    DecodeFault::CounterStuck => &mut summary.counter_stuck,
+                    DecodeFault::CounterJumped => &mut summary.counter_jumped,
                 } += 1;
                 return Ok(());
             }
@@ -259,7 +281,7 @@ impl Log<'_> {
                 frames: summary.frames,
                 id: self.decoder.id().0,
                 matching: summary.matching,
-                refused: summary.short + summary.flagged + summary.out_of_range,
+                refused: summary.refused(),
                 before_start: summary.before_start,
             });
         }

@@ -7,10 +7,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use can_dbc::{ByteOrder, Dbc, Message, MessageId, MultiplexIndicator, NumericValue, Signal, ValueType};
+use can_dbc::{Dbc, Message, MessageId, MultiplexIndicator, Signal};
 use freespace::space::Micros;
 use freespace::track::WheelReading;
 use serde::Deserialize;
+
+use super::integrity::{AliveCounter, Checksum, ChecksumAlgorithm, ChecksumMapping};
+use super::signal::Field;
 
 /// How many like names an error lists.
 const NAMES_LISTED: usize = 12;
@@ -75,6 +78,12 @@ pub struct WheelMapping {
     /// Fault flags, where the message has them: a reading with one set is refused.
     #[serde(default)]
     pub faults: Option<[String; 4]>,
+    /// Alive counter of the message, where it has one: a reading is refused where it stands still or leaps.
+    #[serde(default)]
+    pub counter: Option<String>,
+    /// Check sum of the message, where it has one: a reading is refused where it is wrong.
+    #[serde(default)]
+    pub checksum: Option<ChecksumMapping>,
     /// Counters or speeds.
     pub kind: WheelKind,
     /// Unit of the speeds instead of the DBC's.
@@ -160,29 +169,35 @@ pub enum MappingError {
 
 /// Why a wheel message gave no reading; the caller counts it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+#[error("{}", self.name())]
 pub enum DecodeFault {
     /// Fewer bytes than the signals need.
-    #[error("shorter than its signals need")]
     Short,
     /// The car's own fault flag of a wheel is set.
-    #[error("a wheel's fault flag is set")]
     Flagged,
     /// A speed beyond the DBC's range: the code for "not available" lies there.
-    #[error("a speed beyond the range of the DBC")]
     OutOfRange,
+    /// The message is damaged, or another sender's.
+    Checksum,
+    /// The message is the last one again.
+    CounterStuck,
+    /// More messages are missing than may be lost, or two senders take turns.
+    CounterJumped,
 }
 
-/// Where a signal lies.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Field {
-    start: usize,
-    size: usize,
-    big_endian: bool,
-    signed: bool,
-    factor: f64,
-    offset: f64,
-    /// Largest magnitude, in the signal's unit.
-    limit: f64,
+impl DecodeFault {
+    /// The words of its display, without allocation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Short => "shorter than its signals need",
+            Self::Flagged => "a wheel's fault flag is set",
+            Self::OutOfRange => "a speed beyond the range of the DBC",
+            Self::Checksum => "the check sum is wrong",
+            Self::CounterStuck => "the alive counter stands still",
+            Self::CounterJumped => "the alive counter leaps",
+        }
+    }
 }
 
 /// Decodes one message into wheel readings.
@@ -196,6 +211,8 @@ pub struct WheelDecoder {
     values: [Field; 4],
     directions: Option<[Field; 4]>,
     faults: Option<[Field; 4]>,
+    checksum: Option<Checksum>,
+    counter: Option<(Field, AliveCounter)>,
     mps_per_unit: f64,
     direction_ahead: u64,
     direction_back: u64,
@@ -249,17 +266,28 @@ impl WheelDecoder {
             }
             WheelKind::Speeds => source.unit(&mapping.signals, mapping.unit)?.mps(),
         };
+        let id = message.id.raw() & 0x1fff_ffff;
+        let checksum = (mapping.checksum.as_ref())
+            .map(|checksum| source.checksum(checksum, id))
+            .transpose()?;
+        let counter = (mapping.counter.as_ref())
+            .map(|name| source.alive_counter(name))
+            .transpose()?;
         let all = (values.iter())
             .chain(directions.iter().flatten())
-            .chain(faults.iter().flatten());
+            .chain(faults.iter().flatten())
+            .chain(counter.iter().map(|(field, _)| field));
+        let covered = checksum.map_or(0, |checksum| checksum.length);
         Ok(Self {
-            id: message.id.raw() & 0x1fff_ffff,
+            id,
             is_extended: matches!(message.id, MessageId::Extended(_)),
-            bytes_needed: all.map(Field::bytes_needed).max().unwrap_or(0),
+            bytes_needed: all.map(Field::bytes_needed).max().unwrap_or(0).max(covered),
             kind: mapping.kind,
             values,
             directions,
             faults,
+            checksum,
+            counter,
             mps_per_unit,
             direction_ahead: mapping.direction_ahead,
             direction_back: mapping.direction_back,
@@ -281,9 +309,9 @@ impl WheelDecoder {
     /// The reading of a frame; nothing where the frame is another message.
     ///
     /// # Errors
-    /// A frame that is too short, flagged as faulty by the car, or out of range.
+    /// A frame that is too short, damaged, repeated, flagged as faulty by the car, or out of range.
     pub fn decode(
-        &self,
+        &mut self,
         id: u32,
         is_extended: bool,
         data: &[u8],
@@ -292,9 +320,15 @@ impl WheelDecoder {
         (id == self.id && is_extended == self.is_extended).then(|| self.reading(data, stamp))
     }
 
-    fn reading(&self, data: &[u8], stamp: Micros) -> Result<WheelReading, DecodeFault> {
+    fn reading(&mut self, data: &[u8], stamp: Micros) -> Result<WheelReading, DecodeFault> {
         if data.len() < self.bytes_needed {
             return Err(DecodeFault::Short);
+        }
+        if self.checksum.is_some_and(|checksum| !checksum.is_right(data)) {
+            return Err(DecodeFault::Checksum);
+        }
+        if let Some((field, counter)) = &mut self.counter {
+            counter.check(field.raw(data))?;
         }
         if self.faults.iter().flatten().any(|flag| flag.raw(data) != 0) {
             return Err(DecodeFault::Flagged);
@@ -335,51 +369,6 @@ impl WheelDecoder {
         } else {
             0
         }
-    }
-}
-
-impl Field {
-    /// Bytes from the frame's start to the signal's last one.
-    fn bytes_needed(&self) -> usize {
-        let last = if self.big_endian {
-            // The start is the most significant bit; from bit 0 of a byte the signal goes on at bit 7 of the next.
-            (self.start / 8) * 8 + (7 - self.start % 8) + self.size - 1
-        } else {
-            self.start + self.size - 1
-        };
-        last / 8 + 1
-    }
-
-    /// The signal's bits; the caller has checked the length.
-    fn raw(&self, data: &[u8]) -> u64 {
-        let bit = |at: usize| u64::from(data[at / 8] >> (at % 8) & 1);
-        let mut value = 0;
-        if self.big_endian {
-            let first = (self.start / 8) * 8 + (7 - self.start % 8);
-            for at in first..first + self.size {
-                value = value << 1 | bit(at / 8 * 8 + (7 - at % 8));
-            }
-        } else {
-            for at in (self.start..self.start + self.size).rev() {
-                value = value << 1 | bit(at);
-            }
-        }
-        value
-    }
-
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "speed signals have far fewer than 52 bits"
-    )]
-    fn physical(&self, data: &[u8]) -> f64 {
-        let raw = self.raw(data);
-        let value = if self.signed {
-            let unused = 64 - self.size;
-            ((raw << unused).cast_signed() >> unused) as f64
-        } else {
-            raw as f64
-        };
-        value * self.factor + self.offset
     }
 }
 
@@ -429,26 +418,12 @@ impl Source<'_> {
                 "name an integer signal",
             ));
         }
-        let size = usize::try_from(signal.size).unwrap_or(usize::MAX);
-        let start = usize::try_from(signal.start_bit).unwrap_or(usize::MAX);
-        let fix = "correct the signal's start and length in the DBC";
-        if !(1..=64).contains(&size) || start >= 512 {
+        let Some(field) = Field::of(signal) else {
             return Err(self.unusable(
                 name,
                 format!("{} bits at {} are no signal", signal.size, signal.start_bit),
-                fix,
+                "correct the signal's start and length in the DBC",
             ));
-        }
-        let limit = number(&signal.min).abs().max(number(&signal.max).abs());
-        let field = Field {
-            start,
-            size,
-            big_endian: signal.byte_order == ByteOrder::BigEndian,
-            signed: signal.value_type == ValueType::Signed,
-            factor: signal.factor,
-            offset: signal.offset,
-            // A range of [0|0] states none.
-            limit: if limit > 0.0 { limit } else { f64::INFINITY },
         };
         if field.bytes_needed() as u64 > self.message.size {
             let problem = format!(
@@ -456,9 +431,59 @@ impl Source<'_> {
                 field.bytes_needed(),
                 self.message.size
             );
+            let fix = "correct the signal's start and length in the DBC";
             return Err(self.unusable(name, problem, fix));
         }
         Ok(field)
+    }
+
+    /// A check sum is one whole byte.
+    fn checksum(&self, mapping: &ChecksumMapping, id: u32) -> Result<Checksum, MappingError> {
+        let field = self.field(&mapping.signal)?;
+        let first_bit = if field.big_endian { 7 } else { 0 };
+        let length = usize::try_from(self.message.size).unwrap_or(usize::MAX);
+        let byte = field.start / 8;
+        if field.size != 8 || field.start % 8 != first_bit {
+            let problem = format!("{} bits at {} are no whole byte", field.size, field.start);
+            return Err(self.unusable(&mapping.signal, problem, "name a check sum of one byte"));
+        }
+        if mapping.algorithm == ChecksumAlgorithm::Toyota && byte + 1 != length {
+            let problem = format!("byte {byte} is not the last of {length}");
+            let fix = "the sum of \"toyota\" is the last byte: name that, or another algorithm";
+            return Err(self.unusable(&mapping.signal, problem, fix));
+        }
+        Ok(Checksum {
+            algorithm: mapping.algorithm,
+            data_id: mapping.data_id,
+            id,
+            byte,
+            length,
+        })
+    }
+
+    /// A counter wraps behind its largest value in the DBC, else behind that of its bits.
+    fn alive_counter(&self, name: &str) -> Result<(Field, AliveCounter), MappingError> {
+        let field = self.field(name)?;
+        if field.signed || field.size > 16 {
+            let problem = format!(
+                "{} bits, signed: {}; a counter is unsigned, of at most 16 bits",
+                field.size, field.signed
+            );
+            return Err(self.unusable(name, problem, "name the message's alive counter"));
+        }
+        let of_bits = 1_u64 << field.size;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "clamped to at most 16 bits"
+        )]
+        let stated = (field.limit / field.factor.abs()).clamp(0.0, 65_536.0) as u64 + 1;
+        let modulus = if (2..of_bits).contains(&stated) {
+            stated
+        } else {
+            of_bits
+        };
+        Ok((field, AliveCounter::new(modulus)))
     }
 
     fn check_counters(&self, names: &[String; 4], fields: &[Field; 4]) -> Result<(), MappingError> {
@@ -506,15 +531,6 @@ impl Source<'_> {
             problem,
             fix,
         }
-    }
-}
-
-#[expect(clippy::cast_precision_loss, reason = "a range is stated in a few digits")]
-fn number(value: &NumericValue) -> f64 {
-    match *value {
-        NumericValue::Uint(value) => value as f64,
-        NumericValue::Int(value) => value as f64,
-        NumericValue::Double(value) => value,
     }
 }
 
@@ -600,7 +616,7 @@ faults = ["V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT"]"#;
 
     #[test]
     fn counters_stay_raw_and_directions_are_signs() {
-        let decoder = decoder(PULSES).unwrap();
+        let mut decoder = decoder(PULSES).unwrap();
         let data = [0xfe, 0x01, 0x80, 0x7f, 0b0011_1001, 0];
         let stamp = Micros(5);
         let reading = decoder.decode(903, false, &data, stamp).unwrap().unwrap();
@@ -625,7 +641,7 @@ faults = ["V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT"]"#;
 
     #[test]
     fn big_endian_speeds_are_metres_a_second_in_the_order_of_the_wheels() {
-        let decoder = decoder(SPEEDS).unwrap();
+        let mut decoder = decoder(SPEEDS).unwrap();
         let data = [0x25, 0xb5, 0x25, 0xb6, 0x25, 0xa0, 0x25, 0x8d];
         let Some(Ok(WheelReading::Speeds { mps, .. })) = decoder.decode(170, false, &data, Micros(0)) else {
             panic!("no speeds");
@@ -651,7 +667,7 @@ faults = ["V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT"]"#;
     #[test]
     fn signed_little_endian_speeds_of_an_extended_message_roll_back() {
         let mapping = "message = \"SIGNED\"\nkind = \"speeds\"\nunit = \"m/s\"\nsignals = [\"S_FL\", \"S_FR\", \"S_RL\", \"S_RR\"]";
-        let decoder = decoder(mapping).unwrap();
+        let mut decoder = decoder(mapping).unwrap();
         assert_eq!(decoder.id(), (0x18ff_0015, true));
         // -1, 2047, -2048, 0 in twelve bits each, from bit 4.
         let bits: u64 = 0xfff << 4 | 0x7ff << 16 | 0x800 << 28;
@@ -664,6 +680,48 @@ faults = ["V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT", "V_FR_FAULT"]"#;
         };
         for (found, expected) in mps.iter().zip([-0.1, 204.7, -204.8, 0.0]) {
             assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn damaged_and_repeated_messages_are_no_readings() {
+        let dbc = DBC.replace(
+            "BO_ 170 SPEEDS",
+            " SG_ SUM : 40|8@1+ (1,0) [0|255] \"\" ABS\n\nBO_ 170 SPEEDS",
+        );
+        let dbc = dbc.replace(
+            " SG_ DIR_RR : 38|2",
+            " SG_ ALIVE : 32|2@1+ (1,0) [0|2] \"\" ABS\n SG_ DIR_RR : 38|2",
+        );
+        let text = "message = \"PULSES\"\nkind = \"counts\"\nsignals = [\"FL\", \"FR\", \"RL\", \"RR\"]\n\
+            counter = \"ALIVE\"\nchecksum = { signal = \"SUM\", algorithm = \"xor\" }";
+        let decoder =
+            |text: &str| WheelDecoder::new(Path::new("car.dbc"), &dbc, &toml::from_str(text).unwrap());
+        let mut checked = decoder(text).unwrap();
+        let mut decode = |data: [u8; 6]| {
+            let decoded = checked.decode(903, false, &data, Micros(0)).unwrap();
+            decoded.map(|_| ())
+        };
+        assert_eq!(decode([1, 0, 0, 0, 0, 1]), Ok(()));
+        assert_eq!(decode([1, 0, 0, 0, 1, 1]), Err(DecodeFault::Checksum));
+        assert_eq!(decode([1, 0, 0, 0, 0, 1]), Err(DecodeFault::CounterStuck));
+        assert_eq!(decode([1, 0, 0, 0, 1, 0]), Ok(()));
+        assert_eq!(decode([1, 0, 0, 0, 2, 3]), Ok(()));
+        assert_eq!(
+            decode([1, 0, 0, 0, 0, 1]),
+            Ok(()),
+            "wraps behind 2, as the DBC says"
+        );
+        for (wrong, cause) in [
+            (text.replace("\"SUM\"", "\"ALIVE\""), "no whole byte"),
+            (
+                text.replace("xor", "toyota").replace("\"SUM\"", "\"RR\""),
+                "not the last",
+            ),
+            (text.replace("\"ALIVE\"", "\"ALIV\""), "no signal ALIV"),
+        ] {
+            let error = decoder(&wrong).unwrap_err().to_string();
+            assert!(error.contains(cause), "{error}");
         }
     }
 
