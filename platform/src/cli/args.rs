@@ -36,8 +36,62 @@ pub enum Command {
     /// Compare results with truth.
     #[command(subcommand)]
     Eval(EvalCommand),
+    /// Look at a CAN bus: frames decoded, and the module's load.
+    #[command(subcommand)]
+    Can(CanCommand),
     /// Check this computer: rights, kernel, memory, devices, network, timer; each with its fix.
     Doctor(DoctorArgs),
+}
+
+/// What to do about CAN.
+#[derive(Debug, Subcommand)]
+pub enum CanCommand {
+    /// Print the signals of a log's or an interface's frames, and whether the module's own are whole.
+    Decode(CanDecodeArgs),
+    /// Print what the module's publications, and a log, cost the bus.
+    Load(CanLoadArgs),
+}
+
+/// Arguments of `freespace can decode`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  freespace can decode drive.candump --config config/toyota.toml
+  freespace can decode can0 --json | jq 'select(.message == \"FREESPACE_STATUS\")'")]
+pub struct CanDecodeArgs {
+    /// A candump log, or an interface.
+    #[arg(value_name = "FILE|INTERFACE")]
+    pub source: String,
+    /// DBC file that describes the frames; the shipped config/freespace.dbc without it.
+    #[arg(long, value_name = "FILE")]
+    pub dbc: Option<PathBuf>,
+    /// Configuration whose `wheels` table describes the wheel message; its readings are printed too.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Print frames that nothing describes, too.
+    #[arg(long)]
+    pub all: bool,
+    /// How long to read an interface; until interrupted without it.
+    #[arg(long, value_name = "N", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Print JSON, an object a line.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `freespace can load`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  freespace can load --config config/kitti.toml --log drive.candump")]
+pub struct CanLoadArgs {
+    /// Configuration; the shipped config/demo.toml without it.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// A candump log whose load is told too.
+    #[arg(long, value_name = "FILE")]
+    pub log: Option<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Arguments of `freespace doctor`.

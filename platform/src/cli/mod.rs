@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 internal failure or a check of doctor that fails, 2 bad input (file, line or field, and fix are printed to standard error).
 
 mod args;
+mod can;
 mod demo;
 mod doctor;
 mod drive;
@@ -13,7 +14,11 @@ mod replay;
 mod service;
 mod table;
 
-pub use args::{Ablation, Cli, Command, DemoArgs, DoctorArgs, EvalCommand, Pace, ReplayArgs, TruthArgs};
+pub use args::{
+    Ablation, CanCommand, CanDecodeArgs, CanLoadArgs, Cli, Command, DemoArgs, DoctorArgs, EvalCommand, Pace,
+    ReplayArgs, TruthArgs,
+};
+pub use can::run as run_can;
 pub use demo::run as run_demo;
 pub use doctor::run as run_doctor;
 pub use eval::run as run_eval;
