@@ -102,6 +102,12 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
     checks.push(network);
     checks.push(doctor::camera(&system));
     checks.push(doctor::can(&system, doctor::bitrate_by_ip));
+    checks.extend(doctor::can_interfaces(
+        &system,
+        config,
+        doctor::bitrate_by_ip,
+        doctor::can_stamps,
+    ));
     checks.push(doctor::shared_memory(&system));
     let jitter = (jitter_seconds > 0.0)
         .then(|| {

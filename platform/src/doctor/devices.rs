@@ -5,7 +5,7 @@ use std::process::Command;
 use super::{Check, System};
 
 /// `ARPHRD_CAN` of linux/if_arp.h.
-const CAN_DEVICE: i64 = 280;
+pub(super) const CAN_DEVICE: i64 = 280;
 
 /// Frames that must fit into a transmit queue: all of one publication, of several in a row.
 const QUEUE_FRAMES: i64 = 256;
@@ -30,11 +30,7 @@ pub fn can(system: &System, bitrate: impl Fn(&str) -> Option<u64>) -> Check {
     let mut fixes = Vec::new();
     for name in &interfaces {
         let length = system.number(&format!("{net}/{name}/tx_queue_len")).unwrap_or(0);
-        // IFF_UP of linux/if.h; vcan never reports more than "unknown" as its operational state.
-        let is_up = system
-            .read(&format!("{net}/{name}/flags"))
-            .and_then(|flags| u32::from_str_radix(flags.trim_start_matches("0x"), 16).ok())
-            .is_some_and(|flags| flags & 1 == 1);
+        let is_up = is_up(system, name);
         let is_virtual = name.starts_with('v');
         let rate = bitrate(name);
         let rate_text = match rate {
@@ -64,6 +60,13 @@ pub fn can(system: &System, bitrate: impl Fn(&str) -> Option<u64>) -> Check {
         [] => Check::ok(NAME, seen.join("; ")),
         fixes => Check::warning(NAME, seen.join("; "), fixes.join("; ")),
     }
+}
+
+/// IFF_UP of linux/if.h; vcan never reports more than "unknown" as its operational state.
+pub(super) fn is_up(system: &System, interface: &str) -> bool {
+    (system.read(&format!("sys/class/net/{interface}/flags")))
+        .and_then(|flags| u32::from_str_radix(flags.trim().trim_start_matches("0x"), 16).ok())
+        .is_some_and(|flags| flags & 1 == 1)
 }
 
 /// The bit rate of an interface, by the program `ip`; none where it is not installed or the interface has none.

@@ -5,6 +5,7 @@
 //! jitter of the publisher's timer. Invariant: nothing is changed that outlives the process. Cost: the jitter test's seconds,
 //! and the network's start.
 
+mod can;
 mod devices;
 mod jitter;
 mod kernel;
@@ -13,6 +14,7 @@ mod processor;
 mod rights;
 mod system;
 
+pub use can::{can_interfaces, can_stamps};
 pub use devices::{bitrate_by_ip, camera, can, shared_memory};
 pub use jitter::{Jitter, JitterError, PERIOD_MICROS, measure_jitter};
 pub use kernel::{huge_pages, kernel, swap, throttling};
