@@ -24,7 +24,7 @@ use crate::wheels::WheelDecoder;
 
 /// Frames taken in one step: a tenth of a second of a full bus's wheel messages, in half a millisecond.
 const RECEIVE_MOST: usize = 256;
-/// Frames sent in one step; the pacer lets four go at once.
+/// Frames sent in one step; the pacer lets six go at once.
 const SEND_MOST: usize = 16;
 /// How often the interface is looked at: while all is well, and while it is down or off.
 const LOOK_NS: u64 = 1_000_000_000;

@@ -133,6 +133,7 @@ impl Play {
         let now = Now {
             monotonic_ns: self.now_ns,
             realtime_ns: WALL + self.now_ns,
+            spread_ns: 100,
         };
         self.link.step(&|| now, &mut self.teller)
     }
@@ -318,7 +319,7 @@ fn frames_are_paced_and_a_full_queue_is_tried_again() {
     play.step();
     play.publish(1, 12);
     play.step();
-    assert_eq!(play.sent(), 4, "a queue of ten is never filled");
+    assert_eq!(play.sent(), 6, "a queue of ten is never filled");
     play.stage.0.borrow_mut().answers = [WireFault::Full; 3].into();
     play.run_until(60 * MS);
     assert_eq!(play.sent(), 12);

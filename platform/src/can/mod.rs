@@ -219,6 +219,3 @@ fn send_side(out: &CanOut, shared: &Arc<Shared>) -> (SendSide, SocketcanSink) {
     );
     (side, sink)
 }
-
-#[cfg(test)]
-mod tests;

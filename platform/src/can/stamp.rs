@@ -85,9 +85,13 @@ impl StampMap {
         match &mut self.offsets_ns {
             None => self.offsets_ns = Some([offset; 2]),
             Some([before, latest]) => {
-                if latest.abs_diff(offset) > STEP_NS.unsigned_abs() {
+                let apart_ns = latest.abs_diff(offset);
+                if apart_ns > STEP_NS.unsigned_abs().saturating_add(now.spread_ns) {
                     *before = *latest;
                     self.steps += 1;
+                } else if now.spread_ns > SLACK_NS.unsigned_abs() {
+                    // Interrupted between the clocks: the offset known is better.
+                    return;
                 }
                 *latest = offset;
             }
@@ -152,6 +156,7 @@ mod tests {
         Now {
             monotonic_ns,
             realtime_ns: (WALL + monotonic_ns).wrapping_add(step.cast_unsigned()),
+            spread_ns: 100,
         }
     }
 
@@ -181,6 +186,18 @@ mod tests {
             }
             prop_assert_eq!(map.steps(), u64::from(step.unsigned_abs() > 5 * MS));
         }
+    }
+
+    #[test]
+    fn an_interruption_between_the_clocks_is_no_step() {
+        let mut map = StampMap::default();
+        map.opened(at(0, 0));
+        map.emptied(Now {
+            spread_ns: 30 * MS,
+            ..at(100 * MS, -20 * MS.cast_signed())
+        });
+        let (stamp, source) = map.monotonic(at(110 * MS, 0), Some(WALL + 109 * MS), None);
+        assert_eq!((stamp, source, map.steps()), (109 * MS, StampSource::Software, 0));
     }
 
     #[test]

@@ -12,6 +12,8 @@ pub(super) struct Now {
     pub(super) monotonic_ns: u64,
     /// `CLOCK_REALTIME`, nanoseconds: what the kernel stamps frames with, and what may step.
     pub(super) realtime_ns: u64,
+    /// How long the reading took: the clocks are apart by that at most.
+    pub(super) spread_ns: u64,
 }
 
 /// A frame as it came in.

@@ -1,5 +1,6 @@
 //! `[can]`: the interface that the module sends to, and what it sends there.
 
+use freespace::emit::can::FRAMES;
 use freespace::emit::{BitRates, BusLoad, grid_frames};
 use serde::Deserialize;
 
@@ -50,6 +51,29 @@ impl CanOut {
         #[expect(clippy::cast_precision_loss, reason = "seconds")]
         let hertz = 1e6 / self.period_micros.max(1) as f64;
         BusLoad::of_publications(hertz, self.rates, self.grid_frames)
+    }
+}
+
+/// A line for the start of a run.
+impl std::fmt::Display for CanOut {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let load = self.load();
+        write!(formatter, "{FRAMES} frames of 8 bytes")?;
+        if self.grid_frames > 0 {
+            write!(formatter, " and {} of 64", self.grid_frames)?;
+        }
+        write!(
+            formatter,
+            " every {} ms: {:.0} bit/s, {:.2} % of a bus of {} kbit/s",
+            self.period_micros / 1000,
+            load.bits_per_second,
+            100.0 * load.share,
+            self.rates.nominal / 1000
+        )?;
+        if self.fd {
+            write!(formatter, " (data of CAN FD {} kbit/s)", self.rates.data / 1000)?;
+        }
+        Ok(())
     }
 }
 

@@ -223,6 +223,12 @@ fn contradictions_are_refused() {
             "`wheels.interface` is \"can 0\"",
         ),
         (
+            "kitti",
+            "source = \"can\"",
+            "source = \"can\"\ninterface = \"can0\"",
+            "`wheels.time_offset_s` is 1700000000",
+        ),
+        (
             "demo",
             "[network]",
             "[can]\ninterface = \"can0\"\ngrid = true\n[network]",
@@ -260,16 +266,11 @@ fn known_keys(text: &str) -> BTreeSet<String> {
 fn schema_has_the_keys_that_the_program_knows() {
     let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
     let text = format!(
-<<<<<<< HEAD
-        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n[can]\n",
+        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n[can]\n[camera.device]\npath = \"/dev/video0\"\n",
         shipped("kitti").replace(
             "[wheels]\n",
             "[wheels]\nchecksum = { signal = \"S\", algorithm = \"xor\" }\n"
         )
-=======
-        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n[camera.device]\npath = \"/dev/video0\"\n",
-        shipped("kitti")
->>>>>>> v4l2
     );
     let cases = [
         ("", "zzz = 1\n[camera]", "[camera]"),
@@ -408,4 +409,34 @@ fn a_camera_device_is_read_and_its_faults_are_told() {
     let unsized_camera = format!("{}\n[camera.device]\npath = \"/dev/video0\"\n", shipped("kitti"));
     let error = parse(&unsized_camera).unwrap_err();
     assert!(error.fix().contains("width and height"), "{error}");
+}
+
+#[test]
+fn the_interfaces_that_a_configuration_suggests_make_a_plan() {
+    let text = shipped("toyota")
+        .replace("# interface", "interface")
+        .replace("# [can]", "[can]");
+    let text = text
+        .replace("# bit_rate", "bit_rate")
+        .replace("# fd", "fd")
+        .replace("# grid", "grid");
+    let config = parse(&text).unwrap();
+    let out = config.can_out().unwrap();
+    assert_eq!((out.interface.as_deref(), out.grid_frames), (Some("can1"), 208));
+    assert!(
+        out.to_string().contains("17.54 % of a bus of 500 kbit/s"),
+        "{out}"
+    );
+    let Wheels::Can(wheels) = config.wheels() else {
+        panic!("no CAN wheels");
+    };
+    assert_eq!(wheels.interface.as_deref(), Some("can0"));
+    assert!(
+        parse(shipped("toyota"))
+            .unwrap()
+            .can_out()
+            .unwrap()
+            .interface
+            .is_none()
+    );
 }

@@ -116,9 +116,11 @@ fn check(system: &System, wanted: &Wanted, bit_rate: Option<u64>, stamps: Option
         seen.push(if takes_fd { "CAN FD" } else { "classic CAN only" }.to_owned());
         if !takes_fd {
             state = state.max(State::Fails);
-            fixes.push(format!(
-                "ip link set {name} down; ip link set {name} mtu 72 (vcan) or type can fd on dbitrate N; or fd = false in [can]"
-            ));
+            // Before the one that brings it up.
+            fixes.insert(
+                0,
+                format!("ip link set {name} down, then mtu 72 (vcan) or type can fd on dbitrate N; or fd = false in [can]"),
+            );
         }
     }
     // Kernel stamps are good to the interrupt's delay: no more than told.

@@ -10,16 +10,15 @@ use freespace_platform::config::CanOut;
 use freespace_platform::runtime::rights::RealTimeConfig;
 use freespace_platform::wheels::{WheelDecoder, WheelMapping};
 
-pub const WHEEL_ID: u32 = 0x387;
-pub const ROWS: usize = 200;
-pub const COLUMNS: usize = 120;
+pub(crate) const ROWS: usize = 200;
+pub(crate) const COLUMNS: usize = 120;
 
 const DBC: &str = "VERSION \"\"\n\nNS_ :\n\nBS_:\n\nBU_: ABS\n\nBO_ 903 PULSES: 6 ABS\n \
     SG_ FL : 0|8@1+ (1,0) [0|0] \"\" ABS\n SG_ FR : 8|8@1+ (1,0) [0|0] \"\" ABS\n \
     SG_ RL : 16|8@1+ (1,0) [0|0] \"\" ABS\n SG_ RR : 24|8@1+ (1,0) [0|0] \"\" ABS\n \
     SG_ ALIVE : 32|4@1+ (1,0) [0|14] \"\" ABS\n SG_ SUM : 40|8@1+ (1,0) [0|0] \"\" ABS\n";
 
-pub fn decoder() -> WheelDecoder {
+pub(crate) fn decoder() -> WheelDecoder {
     let text = "message = \"PULSES\"\nkind = \"counts\"\nsignals = [\"FL\", \"FR\", \"RL\", \"RR\"]\n\
         counter = \"ALIVE\"\nchecksum = { signal = \"SUM\", algorithm = \"crc8_sae_j1850\" }";
     let mapping: WheelMapping = toml::from_str(text).unwrap();
@@ -27,7 +26,7 @@ pub fn decoder() -> WheelDecoder {
 }
 
 /// The bytes of wheel message `number`.
-pub fn wheel_bytes(number: u64) -> [u8; 6] {
+pub(crate) fn wheel_bytes(number: u64) -> [u8; 6] {
     let [count, ..] = number.to_le_bytes();
     let [alive, ..] = (number % 15).to_le_bytes();
     let mut bytes = [count, count, count, count, alive, 0];
@@ -35,17 +34,8 @@ pub fn wheel_bytes(number: u64) -> [u8; 6] {
     bytes
 }
 
-pub fn wheel_frame(number: u64) -> CanFrame {
-    let mut frame = CanFrame {
-        id: WHEEL_ID,
-        ..CanFrame::default()
-    };
-    frame.data.extend_from_slice(&wheel_bytes(number)).unwrap();
-    frame
-}
-
 /// A message and its classic frames.
-pub fn publication(encoder: &mut CanEncoder, sequence: u64) -> (Vec<u8>, Vec<CanFrame>) {
+pub(crate) fn publication(encoder: &mut CanEncoder, sequence: u64) -> (Vec<u8>, Vec<CanFrame>) {
     let grid = Grid::new(ROWS, COLUMNS, 0.2);
     let header = Header {
         sequence,
@@ -59,7 +49,7 @@ pub fn publication(encoder: &mut CanEncoder, sequence: u64) -> (Vec<u8>, Vec<Can
 }
 
 /// The interface to test on; skips by name without one.
-pub fn interface(test: &str) -> Option<String> {
+pub(crate) fn interface(test: &str) -> Option<String> {
     let name = std::env::var("FREESPACE_TEST_CAN").ok();
     if name.is_none() {
         eprintln!("SKIPPED: {test}: no CAN interface; set FREESPACE_TEST_CAN=vcan0");
@@ -68,7 +58,7 @@ pub fn interface(test: &str) -> Option<String> {
 }
 
 /// Both sides on one interface, the grid too.
-pub fn plan(interface: &str) -> CanPlan {
+pub(crate) fn plan(interface: &str) -> CanPlan {
     CanPlan {
         wheels: Some(CanWheelsPlan {
             interface: interface.to_owned(),
@@ -92,7 +82,7 @@ pub fn plan(interface: &str) -> CanPlan {
 }
 
 /// Waits, bounded, for something to become true.
-pub fn wait_for(what: &str, mut is_true: impl FnMut() -> bool) {
+pub(crate) fn wait_for(what: &str, mut is_true: impl FnMut() -> bool) {
     for _ in 0..2_000 {
         if is_true() {
             return;

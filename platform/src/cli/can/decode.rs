@@ -22,8 +22,11 @@ use crate::wheels::candump_line::FrameKind;
 
 /// How long a live reader waits before it looks whether its time is over.
 const LOOK: Duration = Duration::from_millis(100);
-/// Identifiers of the sector frames.
-const SECTOR_FRAMES: u32 = (freespace::budget::SECTORS / SECTORS_PER_FRAME) as u32;
+/// Names of the module's messages begin so.
+const PREFIX: &str = "FREESPACE_";
+/// Number of the sector frames, whose identifiers follow one another.
+const SECTOR_FRAMES: u32 = 8;
+const _: () = assert!(SECTOR_FRAMES as usize == freespace::budget::SECTORS / SECTORS_PER_FRAME);
 
 /// One frame, as it is printed.
 #[derive(Serialize)]
@@ -172,7 +175,10 @@ impl Decoding {
     /// Prints a frame; false once nobody reads any more.
     fn take(&mut self, stamp_micros: u64, interface: &str, id: u32, is_extended: bool, data: &[u8]) -> bool {
         self.summary.frames += 1;
-        let e2e = self.verdict(id, is_extended, data);
+        // Another car's bus may have these identifiers for its own messages: the DBC says whose they are.
+        let is_described =
+            (self.catalogue.message(id, is_extended)).is_some_and(|message| message.name.starts_with(PREFIX));
+        let e2e = (is_described && is_ours(id) && !is_extended).then(|| self.verdict(id, data));
         let wheels = self.wheel(id, is_extended, data, Micros(stamp_micros));
         let message = self.catalogue.message(id, is_extended);
         self.summary.described += u64::from(message.is_some());
@@ -199,11 +205,8 @@ impl Decoding {
         written.is_ok()
     }
 
-    /// Whether a frame of the module is whole; none where it is another's.
-    fn verdict(&mut self, id: u32, is_extended: bool, data: &[u8]) -> Option<Verdict> {
-        if is_extended || !is_ours(id) {
-            return None;
-        }
+    /// Whether a frame of the module is whole.
+    fn verdict(&mut self, id: u32, data: &[u8]) -> Verdict {
         let mut frame = CanFrame {
             id,
             ..CanFrame::default()
@@ -226,7 +229,7 @@ impl Decoding {
         } else {
             self.summary.e2e_wrong += 1;
         }
-        Some(counter.map_or(Verdict::Wrong, |counter| Verdict::Ok { counter }))
+        counter.map_or(Verdict::Wrong, |counter| Verdict::Ok { counter })
     }
 
     fn wheel(&mut self, id: u32, is_extended: bool, data: &[u8], stamp: Micros) -> Option<Wheel> {

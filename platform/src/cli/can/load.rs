@@ -1,6 +1,5 @@
 //! `freespace can load`: what the module's publications, and the frames of a log, cost a bus.
 
-use freespace::emit::can::FRAMES;
 use freespace::emit::{BitRates, BusLoad};
 use serde::Serialize;
 
@@ -119,23 +118,7 @@ fn log_load(path: &std::path::Path, rates: BitRates) -> Result<LogLoad, BadInput
 }
 
 fn text_of(loads: &Loads, out: &CanOut) -> String {
-    let publications = &loads.publications;
-    let mut text = format!(
-        "bus          {} kbit/s, data of CAN FD {} kbit/s\n\
-         publication  {FRAMES} frames of 8 bytes{}, each {:.2} s\n\
-         load         {:.1} frames/s, {:.0} bit/s, {:.2} % of the bus (worst-case stuffing)\n",
-        loads.bit_rate / 1000,
-        loads.data_bit_rate / 1000,
-        if out.grid_frames > 0 {
-            format!(", {} of 64 bytes for the grid", out.grid_frames)
-        } else {
-            String::new()
-        },
-        std::time::Duration::from_micros(out.period_micros).as_secs_f64(),
-        publications.frames_per_second,
-        publications.bits_per_second,
-        100.0 * publications.share,
-    );
+    let mut text = format!("publications {out} (worst-case stuffing)\n");
     if let Some(log) = &loads.log {
         text.push_str(&format!(
             "log          {} frames in {:.1} s: {:.1} % of the bus, {:.1} % in the busiest second\n",
