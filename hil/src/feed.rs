@@ -208,9 +208,9 @@ impl CameraFeed {
                 self.write(number, &picture, width, height);
                 self.last = picture;
             }
-            CameraFault::Drops if number % 2 == 0 => self.write(number, &picture, width, height),
+            CameraFault::Drops if number.is_multiple_of(2) => self.write(number, &picture, width, height),
             CameraFault::Duplicates => {
-                if number % 2 == 0 {
+                if number.is_multiple_of(2) {
                     self.last = picture;
                 }
                 let last = std::mem::take(&mut self.last);
@@ -237,8 +237,8 @@ impl CameraFeed {
         }
         let Some(output) = &mut self.output else { return };
         let at_micros = now_micros();
-        match output.write(bytes) {
-            Ok(_) => {
+        match output.write_all(bytes) {
+            Ok(()) => {
                 let mut sent = self.sent.lock().unwrap_or_else(PoisonError::into_inner);
                 sent.push(Sent { picture, at_micros });
             }

@@ -102,13 +102,7 @@ fn open_bus(config: &Config, watch: &mut Watch) -> Result<Bus, Failure> {
         return Ok(Bus::default());
     };
     if let Some(out) = &plan.out {
-        let load = out.load();
-        eprintln!(
-            "{}: sends {:.0} frames a second, at most {:.1} % of the bus",
-            out.interface.as_deref().unwrap_or_default(),
-            load.frames_per_second,
-            100.0 * load.share
-        );
+        eprintln!("{}: {out}", out.interface.as_deref().unwrap_or_default());
     }
     let CanDevices {
         wheels,
