@@ -19,6 +19,7 @@ fn main() -> ExitCode {
         Command::Eval(command) => cli::run_eval(&command),
         Command::Replay(args) => cli::run_replay(&args),
         Command::Demo(args) => cli::run_demo(&args),
+        Command::Calibrate(command) => cli::run_calibrate(&command),
         Command::Doctor(args) => cli::run_doctor(&args),
     };
     cli::finish(result)

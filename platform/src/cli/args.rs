@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use super::CalibrateCommand;
 use crate::camera::replay::KeyFrameRule;
 use crate::eval::masks::TruthKind;
 
@@ -36,6 +37,9 @@ pub enum Command {
     /// Compare results with truth.
     #[command(subcommand)]
     Eval(EvalCommand),
+    /// Find what a configuration must be told of lens, mount and wheels.
+    #[command(subcommand)]
+    Calibrate(CalibrateCommand),
     /// Check this computer: rights, kernel, memory, devices, network, timer; each with its fix.
     Doctor(DoctorArgs),
 }

@@ -3,6 +3,8 @@
 //! Exit codes: 0 done, 1 internal failure or a check of doctor that fails, 2 bad input (file, line or field, and fix are printed to standard error).
 
 mod args;
+mod calibrate;
+mod calibrate_args;
 mod demo;
 mod doctor;
 mod drive;
@@ -14,6 +16,8 @@ mod service;
 mod table;
 
 pub use args::{Ablation, Cli, Command, DemoArgs, DoctorArgs, EvalCommand, Pace, ReplayArgs, TruthArgs};
+pub use calibrate::run as run_calibrate;
+pub use calibrate_args::{CalibrateCommand, ImportArgs, LensArgs, MountArgs, TicksArgs};
 pub use demo::run as run_demo;
 pub use doctor::run as run_doctor;
 pub use eval::run as run_eval;
