@@ -157,17 +157,37 @@ fn calibrate_names_its_faults() {
     let folder = inputs();
     let path = folder.path();
     fs::create_dir(path.join("empty")).unwrap();
-    fs::write(path.join("omni.yaml"), "cam0:\n  camera_model: omni\n  intrinsics: [1, 2, 3, 4]\n").unwrap();
+    fs::write(
+        path.join("omni.yaml"),
+        "cam0:\n  camera_model: omni\n  intrinsics: [1, 2, 3, 4]\n",
+    )
+    .unwrap();
     fs::write(
         path.join("yaml.toml"),
         CONFIG.replace("hfov_deg = 60.0", "source = \"omni.yaml\""),
     )
     .unwrap();
-    let lens = ["calibrate", "lens", "images", "--board", "9x6", "--square", "0.025"];
+    let lens = [
+        "calibrate",
+        "lens",
+        "images",
+        "--board",
+        "9x6",
+        "--square",
+        "0.025",
+    ];
     let cases: [(&[&str], &[&str]); 8] = [
         (&lens, &["0 of 3 pictures show the board 9x6", "inner corners"]),
         (
-            &["calibrate", "lens", "empty", "--board", "9x6", "--square", "0.025"],
+            &[
+                "calibrate",
+                "lens",
+                "empty",
+                "--board",
+                "9x6",
+                "--square",
+                "0.025",
+            ],
             &["empty", "no PNG or JPEG"],
         ),
         (
@@ -191,7 +211,15 @@ fn calibrate_names_its_faults() {
             &["it stands", "record a drive"],
         ),
         (
-            &["calibrate", "ticks", "log", "--config", "car.toml", "--distance", "100"],
+            &[
+                "calibrate",
+                "ticks",
+                "log",
+                "--config",
+                "car.toml",
+                "--distance",
+                "100",
+            ],
             &["describes no CAN message", "[wheels]"],
         ),
     ];

@@ -24,6 +24,8 @@ const SHORTEST_M: f64 = 1.0;
 const STRAIGHT_PER_M: f64 = 0.004;
 /// So many straight stretches are enough: ten seconds.
 const ENOUGH: usize = 15;
+/// So many views of the road's plane are: their median is judged by its spread besides.
+const ENOUGH_PLANES: usize = 10;
 /// Less travel than this is no drive.
 const LEAST_TRAVEL_M: f64 = 20.0;
 /// A median that is known no better than this is not given.
@@ -187,7 +189,7 @@ fn estimate(survey: &Survey, mount: &Mount) -> Result<MountEstimate, MountError>
     // The first look has the mount's roll only; a roll turns pitch into yaw, so it comes first.
     let planes = || straight.iter().filter_map(|stretch| stretch.plane);
     let roll = robust(planes().map(|plane| (-plane.normal.x).atan2(-plane.normal.y)))
-        .filter(|roll| roll.count >= ENOUGH && roll.sigma < VAGUE_ROLL_RAD);
+        .filter(|roll| roll.count >= ENOUGH_PLANES && roll.sigma < VAGUE_ROLL_RAD);
     let roll_rad = roll.map_or(mount.roll_rad, |roll| roll.value);
     let angles = |stretch: &Stretch| travel_angles(stretch, roll_rad, mount.ahead_m);
     let pitch_rad = robust(straight.iter().map(|stretch| angles(stretch).0)).ok_or(too_short)?;
@@ -200,7 +202,7 @@ fn estimate(survey: &Survey, mount: &Mount) -> Result<MountEstimate, MountError>
             .filter_map(|stretch| stretch.plane)
             .map(|plane| plane.offset_m),
     )
-    .filter(|height| height.count >= ENOUGH && height.sigma < VAGUE_HEIGHT_SHARE * height.value);
+    .filter(|height| height.count >= ENOUGH_PLANES && height.sigma < VAGUE_HEIGHT_SHARE * height.value);
     Ok(MountEstimate {
         pitch_rad,
         yaw_rad,

@@ -80,7 +80,14 @@ fn tape(speed_mps: f64) -> Tape {
         ..WorldConfig::default()
     };
     let world = Arc::new(World::new(&config, &Arc::new(Textures::new())));
-    let mut sim = SimFrames::new(Arc::clone(&world), &camera, &Sensor::default(), true, 10.0, SECONDS);
+    let mut sim = SimFrames::new(
+        Arc::clone(&world),
+        &camera,
+        &Sensor::default(),
+        true,
+        10.0,
+        SECONDS,
+    );
     let mut frames = Vec::new();
     let mut buffer = FrameBuffer::default();
     while sim.next_frame(&mut buffer) == CameraAnswer::Frame {
@@ -143,11 +150,19 @@ fn a_wrong_mount_is_corrected_from_a_drive() {
     println!("{found:#?}");
     let height = found.height_m.unwrap();
     assert!((height.value / TRUTH.height_m - 1.0).abs() < 0.04, "{height:?}");
-    assert!((found.pitch_rad.value - TRUTH.pitch_rad).abs() < 0.004, "{:?}", found.pitch_rad);
+    assert!(
+        (found.pitch_rad.value - TRUTH.pitch_rad).abs() < 0.004,
+        "{:?}",
+        found.pitch_rad
+    );
     assert!(found.yaw_rad.value.abs() < 0.006, "{:?}", found.yaw_rad);
     let without = calibrate(&wrong, &mut |mount, round| tape.survey(mount, false, Some(round))).unwrap();
     assert!(without.height_m.is_none());
-    assert!((without.pitch_rad.value - TRUTH.pitch_rad).abs() < 0.006, "{:?}", without.pitch_rad);
+    assert!(
+        (without.pitch_rad.value - TRUTH.pitch_rad).abs() < 0.006,
+        "{:?}",
+        without.pitch_rad
+    );
 
     let straight = straight_stretches(&tape.survey(&TRUTH, false, None)).unwrap();
     let mut readings: Vec<WheelReading> = Vec::new();
@@ -159,7 +174,10 @@ fn a_wrong_mount_is_corrected_from_a_drive() {
     };
     let ticks = from_stretches(&readings, &guessed, &straight).unwrap();
     println!("{ticks:#?}");
-    assert!((ticks.metres_per_count / WHEELS.metres_per_count - 1.0).abs() < 0.06, "{ticks:?}");
+    assert!(
+        (ticks.metres_per_count / WHEELS.metres_per_count - 1.0).abs() < 0.06,
+        "{ticks:?}"
+    );
 }
 
 #[test]

@@ -91,7 +91,6 @@ pub struct MountArgs {
 Examples:
   freespace calibrate ticks way.candump --config car.toml --distance 200
   freespace calibrate ticks drive/wheel.candump --config config/kitti.toml --visual drive")]
-#[group(id = "scale", required = true, multiple = false, args = ["distance", "visual"])]
 pub struct TicksArgs {
     /// candump log with the wheel message that the configuration describes.
     pub log: PathBuf,
@@ -99,10 +98,10 @@ pub struct TicksArgs {
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
     /// Metres that were driven during the whole log.
-    #[arg(long, value_name = "METRES", value_parser = metres)]
+    #[arg(long, value_name = "METRES", value_parser = metres, required_unless_present = "visual")]
     pub distance: Option<f64>,
     /// Recording of the same drive: the scale comes from the configured camera height.
-    #[arg(long, value_name = "SOURCE")]
+    #[arg(long, value_name = "SOURCE", conflicts_with = "distance")]
     pub visual: Option<PathBuf>,
     /// Print JSON in place of the table.
     #[arg(long)]

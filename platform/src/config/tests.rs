@@ -336,5 +336,8 @@ fn yaml_beside_the_configuration_is_the_lens() {
     let camera = config.camera_for(elsewhere, 1242, 375).unwrap();
     assert_eq!(camera.lens, Lens::pinhole(721.5, 721.5, 609.5, 172.8));
     let error = config.camera_for(elsewhere, 640, 480).unwrap_err();
-    assert!(error.message().contains("belongs to images of 1242x375"), "{error}");
+    assert!(
+        error.message().contains("belongs to images of 1242x375"),
+        "{error}"
+    );
 }
