@@ -64,8 +64,13 @@ fn print_spreads(estimate: &MountEstimate, has_wheels: bool) {
         line("pitch, by the road", "rad", pitch);
     }
     match &estimate.roll_rad {
-        Some(roll) => line("roll, by the road", "rad", roll),
-        None => println!("# roll: not seen well enough, as configured; the crown of a road is in it, too"),
+        Some(roll) => {
+            line("roll, by the road", "rad", roll);
+            println!(
+                "# the roll is as configured: the road's crown and verges are in the one seen; take it where the horizon is as tilted"
+            );
+        }
+        None => println!("# roll: not seen well enough, as configured"),
     }
     match &estimate.height_m {
         Some(height) => line("height", "m", height),
