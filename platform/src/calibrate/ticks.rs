@@ -91,7 +91,7 @@ impl Travelled {
         }
         let (early, early_m) = *self.0.get(after.checked_sub(1)?)?;
         let share = stamp.seconds_since(early) / late.seconds_since(early);
-        (late.since(early) <= gap_micros).then(|| early_m + share * (late_m - early_m))
+        (late.since(early) <= gap_micros).then_some(early_m + share * (late_m - early_m))
     }
 
     /// Distance of the whole log.
@@ -266,7 +266,7 @@ mod tests {
     fn stretches_give_it_too_and_a_stuck_wheel_is_named() {
         let stretch = |i: u64| Stretch {
             stamps: (Micros(i * 500_000 + 30_000), Micros(i * 500_000 + 430_000)),
-            travel: Vector3::new(0.0, 0.0, if i % 5 == 0 { 7.0 } else { 4.0 }),
+            travel: Vector3::new(0.0, 0.0, if i.is_multiple_of(5) { 7.0 } else { 4.0 }),
             turn_rad: 0.0,
             wheel_m: None,
             plane: None,

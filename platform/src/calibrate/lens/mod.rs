@@ -8,6 +8,8 @@
 mod board;
 pub mod corners;
 mod folder;
+mod normal;
+mod parameters;
 pub mod picture;
 pub mod refine;
 pub mod report;

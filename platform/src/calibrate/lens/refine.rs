@@ -5,24 +5,20 @@
 //! view by view, so a step solves a system of the lens's parameters alone.
 //! Source: Madsen, Nielsen, Tingleff 2004; Huber's loss; the covariance is `sigma^2 (J' W J)^-1`.
 
-use freespace::frame::{BrownConrady, KannalaBrandt, Lens};
+use freespace::frame::Lens;
 use freespace::space::Pose;
-use nalgebra::{
-    DMatrix, DVector, Matrix2x3, Matrix3, Matrix6, OMatrix, Point3, SMatrix, Translation3, U2, U6,
-    UnitQuaternion, Vector2, Vector3, Vector6,
-};
+use nalgebra::{Point3, Vector2};
 
 use super::View;
+use super::parameters::parameters_of;
 use super::start::start;
 use crate::config::{ImageSize, LensModel};
 
-/// Parameters of either model: fx, fy, cx, cy, then k1 k2 k3 p1 p2, or k1 k2 k3 k4.
-const MOST_PARAMETERS: usize = 9;
 const MOST_STEPS: usize = 60;
 /// A step that lowers the error by less than this share ends the search.
 const STILL: f64 = 1e-9;
 /// Residuals beyond so many robust standard deviations count linearly.
-const HUBER: f64 = 2.0;
+pub(super) const HUBER: f64 = 2.0;
 /// And beyond so many the corner is left out in the end: it was found in the wrong place.
 const WILD: f64 = 6.0;
 /// Corners are never known better than this.
@@ -98,85 +94,27 @@ pub fn calibrate(
     state.finish()
 }
 
-struct State<'a> {
-    views: &'a [View],
-    square_m: f64,
-    lens: Lens,
-    poses: Vec<Pose>,
+/// What is being refined.
+pub(super) struct State<'a> {
+    pub(super) views: &'a [View],
+    pub(super) square_m: f64,
+    pub(super) lens: Lens,
+    pub(super) poses: Vec<Pose>,
     /// 0 for corners left out.
-    weights: Vec<Vec<f64>>,
+    pub(super) weights: Vec<Vec<f64>>,
     /// Robust standard deviation of a residual's length.
-    scale_px: f64,
-}
-
-/// Parameters in the order in which they are freed.
-fn parameters_of(lens: &Lens) -> Vec<(&'static str, f64)> {
-    match lens {
-        Lens::BrownConrady(l) => vec![
-            ("fx", l.fx),
-            ("fy", l.fy),
-            ("cx", l.cx),
-            ("cy", l.cy),
-            ("k1", l.k[0]),
-            ("k2", l.k[1]),
-            ("p1", l.p[0]),
-            ("p2", l.p[1]),
-            ("k3", l.k[2]),
-        ],
-        Lens::KannalaBrandt(l) => vec![
-            ("fx", l.fx),
-            ("fy", l.fy),
-            ("cx", l.cx),
-            ("cy", l.cy),
-            ("k1", l.k[0]),
-            ("k2", l.k[1]),
-            ("k3", l.k[2]),
-            ("k4", l.k[3]),
-        ],
-    }
-}
-
-/// The lens with `change` added to its first parameters.
-fn changed(lens: &Lens, change: impl Fn(usize) -> f64) -> Lens {
-    match *lens {
-        Lens::BrownConrady(l) => Lens::BrownConrady(BrownConrady {
-            fx: l.fx + change(0),
-            fy: l.fy + change(1),
-            cx: l.cx + change(2),
-            cy: l.cy + change(3),
-            k: [l.k[0] + change(4), l.k[1] + change(5), l.k[2] + change(8)],
-            p: [l.p[0] + change(6), l.p[1] + change(7)],
-        }),
-        Lens::KannalaBrandt(l) => Lens::KannalaBrandt(KannalaBrandt {
-            fx: l.fx + change(0),
-            fy: l.fy + change(1),
-            cx: l.cx + change(2),
-            cy: l.cy + change(3),
-            k: std::array::from_fn(|i| l.k[i] + change(4 + i)),
-        }),
-    }
-}
-
-fn moved(pose: &Pose, step: &Vector6<f64>) -> Pose {
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
-    let mut rotation = turn * pose.rotation;
-    rotation.renormalize();
-    Pose::from_parts(
-        Translation3::from(pose.translation.vector + Vector3::new(step[3], step[4], step[5])),
-        rotation,
-    )
-}
-
-/// Normal equations: the lens's block, and for each view its own, the one it shares with the lens, and the right sides.
-struct Normal {
-    lens: DMatrix<f64>,
-    right: DVector<f64>,
-    views: Vec<(Matrix6<f64>, DMatrix<f64>, Vector6<f64>)>,
+    pub(super) scale_px: f64,
 }
 
 impl State<'_> {
     /// Projected minus seen; none where the lens does not project the corner.
-    fn residual(&self, lens: &Lens, pose: &Pose, view: usize, corner: usize) -> Option<Vector2<f64>> {
+    pub(super) fn residual(
+        &self,
+        lens: &Lens,
+        pose: &Pose,
+        view: usize,
+        corner: usize,
+    ) -> Option<Vector2<f64>> {
         let sighting = &self.views[view].sightings[corner];
         let point = pose * Point3::from(sighting.point_m(self.square_m));
         Some(lens.project(&point.coords)? - sighting.pixel)
@@ -257,109 +195,6 @@ impl State<'_> {
             .is_finite()
             .then_some(())
             .ok_or(CalibrationError::Undetermined)
-    }
-
-    fn normal(&self, free: usize) -> Result<Normal, CalibrationError> {
-        let mut normal = Normal {
-            lens: DMatrix::zeros(free, free),
-            right: DVector::zeros(free),
-            views: Vec::with_capacity(self.poses.len()),
-        };
-        let steps: Vec<f64> = parameters_of(&self.lens)
-            .iter()
-            .map(|(_, value)| 1e-6 * value.abs().max(1.0))
-            .collect();
-        let bound = HUBER * self.scale_px;
-        for (view, pose) in self.poses.iter().enumerate() {
-            let mut own = Matrix6::zeros();
-            let mut shared = DMatrix::zeros(free, 6);
-            let mut right = Vector6::zeros();
-            for (corner, weight) in self.weights[view].iter().enumerate() {
-                if *weight <= 0.0 {
-                    continue;
-                }
-                let residual = self
-                    .residual(&self.lens, pose, view, corner)
-                    .ok_or(CalibrationError::Undetermined)?;
-                let weight = (bound / residual.norm().max(1e-12)).min(1.0);
-                let (by_lens, by_pose) = self.derivatives(pose, view, corner, free, &steps)?;
-                own += by_pose.transpose() * by_pose * weight;
-                right += by_pose.transpose() * residual * weight;
-                let by_lens = by_lens.columns(0, free);
-                normal.lens += by_lens.transpose() * by_lens * weight;
-                normal.right += by_lens.transpose() * residual * weight;
-                shared += by_lens.transpose() * by_pose * weight;
-            }
-            normal.views.push((own, shared, right));
-        }
-        Ok(normal)
-    }
-
-    /// A corner's pixel by the lens's parameters, and by its board's turn and shift.
-    fn derivatives(
-        &self,
-        pose: &Pose,
-        view: usize,
-        corner: usize,
-        free: usize,
-        steps: &[f64],
-    ) -> Result<(SMatrix<f64, 2, MOST_PARAMETERS>, OMatrix<f64, U2, U6>), CalibrationError> {
-        let missing = CalibrationError::Undetermined;
-        let sighting = &self.views[view].sightings[corner];
-        let turned = pose.rotation * sighting.point_m(self.square_m);
-        let point = turned + pose.translation.vector;
-        let mut by_lens = SMatrix::<f64, 2, MOST_PARAMETERS>::zeros();
-        for (parameter, &h) in steps.iter().enumerate().take(free) {
-            let at = |h: f64| changed(&self.lens, |i| if i == parameter { h } else { 0.0 }).project(&point);
-            let (after, before) = at(h).zip(at(-h)).ok_or(missing)?;
-            by_lens.set_column(parameter, &((after - before) / (2.0 * h)));
-        }
-        let mut by_point = Matrix2x3::zeros();
-        let h = 1e-6 * point.norm();
-        for axis in 0..3 {
-            let mut offset = Vector3::zeros();
-            offset[axis] = h;
-            let (after, before) = (self.lens.project(&(point + offset)))
-                .zip(self.lens.project(&(point - offset)))
-                .ok_or(missing)?;
-            by_point.set_column(axis, &((after - before) / (2.0 * h)));
-        }
-        let mut by_pose = OMatrix::<f64, U2, U6>::zeros();
-        let by_turn: Matrix3<f64> = -turned.cross_matrix();
-        by_pose.fixed_columns_mut::<3>(0).copy_from(&(by_point * by_turn));
-        by_pose.fixed_columns_mut::<3>(3).copy_from(&by_point);
-        Ok((by_lens, by_pose))
-    }
-
-    /// A damped step: the poses are eliminated, the lens solved, the poses follow.
-    fn step(&self, normal: &Normal, damping: f64) -> Option<(Lens, Vec<Pose>)> {
-        let mut reduced = normal.lens.clone();
-        for i in 0..reduced.nrows() {
-            reduced[(i, i)] *= 1.0 + damping;
-        }
-        let mut right = normal.right.clone();
-        let mut inverses = Vec::with_capacity(normal.views.len());
-        for (own, shared, view_right) in &normal.views {
-            let mut damped = *own;
-            for i in 0..6 {
-                damped[(i, i)] *= 1.0 + damping;
-            }
-            let inverse = damped.try_inverse()?;
-            let weighed = shared * inverse;
-            reduced -= &weighed * shared.transpose();
-            right -= &weighed * view_right;
-            inverses.push(inverse);
-        }
-        let by_lens = -reduced.cholesky()?.solve(&right);
-        let lens = changed(&self.lens, |i| by_lens.get(i).copied().unwrap_or(0.0));
-        let poses = (self.poses.iter().zip(&normal.views).zip(&inverses))
-            .map(|((pose, (_, shared, view_right)), inverse)| {
-                let from_lens: Vector6<f64> =
-                    Vector6::from_column_slice((shared.transpose() * &by_lens).as_slice());
-                moved(pose, &(-(inverse * (view_right + from_lens))))
-            })
-            .collect();
-        Some((lens, poses))
     }
 
     /// Leaves out corners far beyond the noise of the others.
