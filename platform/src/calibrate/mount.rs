@@ -3,7 +3,7 @@
 //! In: a way to survey the recording under a mount. Out: [`MountEstimate`]: pitch and yaw from the direction of travel in camera
 //! space (a car drives where its wheels point), height from the road's plane at the wheels' scale; the roll against that plane is told.
 //! Method: medians over straight stretches; the pipeline expects a mount itself, so the survey is repeated with the one found
-//! until it stays, at most [`ROUNDS`] times.
+//! until it stays, at most `ROUNDS` times.
 
 use freespace::health::ScaleState;
 use freespace::priors::PlaneConfig;

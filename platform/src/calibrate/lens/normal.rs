@@ -1,6 +1,6 @@
 //! The normal equations of a step: the lens's block, each board's own, and what they share.
 //!
-//! In: a [`State`]. Out: a step that eliminates the boards one by one and solves for the lens. Derivatives by the lens's parameters and
+//! In: a `State`. Out: a step that eliminates the boards one by one and solves for the lens. Derivatives by the lens's parameters and
 //! by the point are central differences, exact to 1e-9, so that a further lens model needs no more than its projection.
 
 use freespace::frame::Lens;

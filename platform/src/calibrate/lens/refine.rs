@@ -1,7 +1,7 @@
 //! Levenberg-Marquardt over the lens and the pose of every board, with a robust loss.
 //!
 //! In: views and a start. Out: a [`Calibration`]: lens, spread of its parameters, poses, residuals. Invariant: the robust error
-//! never rises from step to step. Cost: [`MOST_STEPS`] steps at most, each linear in the corners; the boards' poses are eliminated
+//! never rises from step to step. Cost: `MOST_STEPS` steps at most, each linear in the corners; the boards' poses are eliminated
 //! view by view, so a step solves a system of the lens's parameters alone.
 //! Source: Madsen, Nielsen, Tingleff 2004; Huber's loss; the covariance is `sigma^2 (J' W J)^-1`.
 
@@ -21,6 +21,8 @@ const STILL: f64 = 1e-9;
 pub(super) const HUBER: f64 = 2.0;
 /// And beyond so many the corner is left out in the end: it was found in the wrong place.
 const WILD: f64 = 6.0;
+/// But never one this near: of very sharp pictures the noise is finer than the corners' small systematic errors.
+const WILD_PX: f64 = 0.3;
 /// Corners are never known better than this.
 const FINEST_PX: f64 = 0.02;
 
@@ -200,7 +202,7 @@ impl State<'_> {
     /// Leaves out corners far beyond the noise of the others.
     fn drop_wild(&mut self) {
         self.measure_scale();
-        let bound = WILD * self.scale_px;
+        let bound = (WILD * self.scale_px).max(WILD_PX);
         for view in 0..self.poses.len() {
             for corner in 0..self.weights[view].len() {
                 let off = self.residual(&self.lens, &self.poses[view], view, corner);

@@ -2,8 +2,8 @@
 //!
 //! In: a gray picture. Out: inner corners with their places on a lattice, refined below a pixel. Invariant: a corner's
 //! neighbours on the lattice are of the other colour arrangement, as on a chessboard; a picture without a board gives none.
-//! Cost: a few passes over the picture at each of [`LEVELS`] sizes, and a search among at most
-//! [`saddle::MOST`] saddles; what is beyond them, weakest first, is left out.
+//! Cost: a few passes over the picture at each of `LEVELS` sizes, and a search among at most
+//! `saddle::MOST` saddles; what is beyond them, weakest first, is left out.
 //! Method: saddles of the brightness (the determinant of the Hessian), tested on a ring for two crossing edges, grown into a
 //! lattice from neighbour to neighbour; then each corner is moved to where all gradients around it point past it
 //! (Förstner and Gülch 1987).

@@ -1,6 +1,6 @@
 //! Saddles of the brightness: where two dark and two bright squares may meet.
 //!
-//! In: a blurred picture. Out: candidates, strongest first, at most [`MOST`]. Cost: one pass, and a ring a peak.
+//! In: a blurred picture. Out: candidates, strongest first, at most `MOST`. Cost: one pass, and a ring a peak.
 #![allow(
     clippy::cast_precision_loss,
     reason = "pixel arithmetic: coordinates are bounded by the image"

@@ -1,7 +1,7 @@
 //! A corner to a few hundredths of a pixel: the point that all gradients around it are at right angles to.
 //!
 //! In: a lightly blurred picture, the lattice. Out: the lattice with its corners moved; one that moves too far, or has no
-//! gradients in two directions, is left out. Cost: a window of at most 21 x 21 pixels, [`STEPS`] times a corner.
+//! gradients in two directions, is left out. Cost: a window of at most 21 x 21 pixels, `STEPS` times a corner.
 //! Source: Förstner and Gülch 1987: minimise the sum of `w (g . (q - p))^2`.
 #![allow(
     clippy::cast_possible_truncation,
