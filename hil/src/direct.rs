@@ -253,7 +253,7 @@ impl CameraPort for Again {
         buffer.stamp = Micros(stamp);
         buffer.format = PixelFormat::Yuyv;
         (buffer.width, buffer.height) = (self.picture.width(), self.picture.height());
-        buffer.bytes = yuyv(self.picture.pixels());
+        yuyv(self.picture.pixels(), &mut buffer.bytes);
         buffer.key_frame_wanted = false;
         CameraAnswer::Frame
     }

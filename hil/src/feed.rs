@@ -47,8 +47,8 @@ pub(crate) struct Show {
     pub(crate) height: usize,
     pub(crate) rate_hz: f64,
     pub(crate) wheel_period_micros: u64,
-    /// YUYV; may wait until the picture is made.
-    pub(crate) picture: Box<dyn FnMut(u64) -> Option<Vec<u8>> + Send>,
+    /// Puts the next picture, YUYV, in place of the one it is given; may wait until it is made. False at the end.
+    pub(crate) picture: Box<dyn FnMut(&mut Vec<u8>) -> bool + Send>,
     pub(crate) counts: Box<dyn FnMut(u64) -> Option<[u32; 4]> + Send>,
 }
 
@@ -178,7 +178,7 @@ struct CameraFeed {
     width: usize,
     height: usize,
     rate_hz: f64,
-    picture: Box<dyn FnMut(u64) -> Option<Vec<u8>> + Send>,
+    picture: Box<dyn FnMut(&mut Vec<u8>) -> bool + Send>,
     device: PathBuf,
     output: Option<Device>,
     last: Vec<u8>,
@@ -189,39 +189,34 @@ struct CameraFeed {
 
 impl CameraFeed {
     fn run(mut self, start_micros: u64) {
+        let mut picture = Vec::new();
         for number in 0.. {
-            let Some(picture) = (self.picture)(number) else {
+            if !(self.picture)(&mut picture) {
                 return;
-            };
+            }
             sleep_until(start_micros + picture_micros(number, self.rate_hz));
             if self.is_over.load(Ordering::Relaxed) {
                 return;
             }
-            self.show(number, picture);
+            self.show(number, &mut picture);
         }
     }
 
-    fn show(&mut self, number: u64, picture: Vec<u8>) {
+    fn show(&mut self, number: u64, picture: &mut Vec<u8>) {
         let (width, height) = (self.width, self.height);
         match self.switches.camera() {
             CameraFault::None => {
-                self.write(number, &picture, width, height);
-                self.last = picture;
+                self.write(number, picture, width, height);
+                std::mem::swap(&mut self.last, picture);
             }
-            CameraFault::Drops if number.is_multiple_of(2) => self.write(number, &picture, width, height),
+            CameraFault::Drops if number.is_multiple_of(2) => self.write(number, picture, width, height),
             CameraFault::Duplicates => {
                 if number.is_multiple_of(2) {
-                    self.last = picture;
+                    std::mem::swap(&mut self.last, picture);
                 }
-                let last = std::mem::take(&mut self.last);
-                self.write(number, &last, width, height);
-                self.last = last;
+                self.write_last(number);
             }
-            CameraFault::Freezes => {
-                let last = std::mem::take(&mut self.last);
-                self.write(number, &last, width, height);
-                self.last = last;
-            }
+            CameraFault::Freezes => self.write_last(number),
             CameraFault::Black => self.write(number, &black(width, height), width, height),
             CameraFault::Drops | CameraFault::Silent => {}
             CameraFault::Unplugged => self.output = None,
@@ -229,6 +224,12 @@ impl CameraFeed {
                 self.write(number, &black(width / 2, height / 2), width / 2, height / 2)
             }
         }
+    }
+
+    fn write_last(&mut self, number: u64) {
+        let last = std::mem::take(&mut self.last);
+        self.write(number, &last, self.width, self.height);
+        self.last = last;
     }
 
     fn write(&mut self, picture: u64, bytes: &[u8], width: usize, height: usize) {

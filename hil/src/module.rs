@@ -7,8 +7,9 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// How long the program is given to end.
+/// How long the program is given to end: what its unit gives it, and a recording's page besides.
 const TO_END: Duration = Duration::from_secs(5);
+const TO_END_RECORDED: Duration = Duration::from_secs(30);
 
 /// Where the program is and what it is run with.
 #[derive(Clone, Debug)]
@@ -22,6 +23,7 @@ pub(crate) struct Installation {
 pub(crate) struct Module {
     child: Child,
     log: PathBuf,
+    to_end: Duration,
 }
 
 impl Module {
@@ -44,6 +46,7 @@ impl Module {
         Ok(Self {
             child: command.spawn()?,
             log: log.to_owned(),
+            to_end: if record.is_some() { TO_END_RECORDED } else { TO_END },
         })
     }
 
@@ -62,7 +65,7 @@ impl Module {
     /// Tells it to end, and how it did; none where it does not end in time.
     pub(crate) fn end(mut self) -> Option<ExitStatus> {
         self.signal(Signal::TERM);
-        self.wait(TO_END)
+        self.wait(self.to_end)
     }
 
     /// Waits for its end.

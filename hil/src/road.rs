@@ -4,7 +4,7 @@
 //! depending on their number alone. Pictures are rendered ahead on a thread of normal priority and wait in a short queue.
 
 use std::sync::Arc;
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use crate::feed::{Show, spawn};
 use freespace::frame::{Camera, RgbImage};
@@ -58,16 +58,23 @@ impl Road {
 
     /// What is fed of it: rendered ahead, on a thread that ends when the show is dropped.
     pub(crate) fn show(&self) -> std::io::Result<Show> {
-        let (send, receive) = sync_channel(AHEAD);
+        // Pictures go round: to map and fault in half a megabyte for each of them costs more than to paint it.
+        let (send, receive) = sync_channel::<Vec<u8>>(AHEAD);
+        let (give_back, given_back) = sync_channel(AHEAD);
         let road = self.clone();
-        spawn("road", PRIORITY, move || road.render(&send))?;
+        spawn("road", PRIORITY, move || road.render(&send, &given_back))?;
         let road = self.clone();
         Ok(Show {
             width: self.camera.width,
             height: self.camera.height,
             rate_hz: self.rate_hz,
             wheel_period_micros: self.wheel_period_micros,
-            picture: Box::new(move |_| receive.recv().ok()),
+            picture: Box::new(move |picture| {
+                let Ok(next) = receive.recv() else { return false };
+                // One that finds no room is made anew.
+                let _ = give_back.try_send(std::mem::replace(picture, next));
+                true
+            }),
             counts: Box::new(move |number| road.counts(number)),
         })
     }
@@ -86,12 +93,14 @@ impl Road {
         picture_micros(number, self.rate_hz) as f64 * 1e-6
     }
 
-    fn render(&self, send: &SyncSender<Vec<u8>>) {
+    fn render(&self, send: &SyncSender<Vec<u8>>, given_back: &Receiver<Vec<u8>>) {
         let mut camera = SimCamera::new(&self.camera, &Sensor::default());
         let mut picture = RgbImage::new(self.camera.width, self.camera.height);
         for number in 0.. {
             camera.render(&self.world, self.picture_seconds(number), &mut picture);
-            if send.send(yuyv(picture.pixels())).is_err() {
+            let mut bytes = given_back.try_recv().unwrap_or_default();
+            yuyv(picture.pixels(), &mut bytes);
+            if send.send(bytes).is_err() {
                 return;
             }
         }
@@ -115,14 +124,13 @@ pub(crate) fn black(width: usize, height: usize) -> Vec<u8> {
 }
 
 /// RGB to YUYV, ITU-R BT.601 in limited range; two pixels share the mean of their chroma.
-pub(crate) fn yuyv(rgb: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(rgb.len() / 3 * 2);
-    for pair in rgb.chunks_exact(6) {
+pub(crate) fn yuyv(rgb: &[u8], out: &mut Vec<u8>) {
+    out.resize(rgb.len() / 3 * 2, 0);
+    for (four, pair) in out.chunks_exact_mut(4).zip(rgb.chunks_exact(6)) {
         let [a, b] = [&pair[..3], &pair[3..]].map(|p| [p[0], p[1], p[2]].map(i32::from));
         let mean = [0, 1, 2].map(|c| (a[c] + b[c] + 1) / 2);
-        out.extend([luma(a), chroma_blue(mean), luma(b), chroma_red(mean)]);
+        four.copy_from_slice(&[luma(a), chroma_blue(mean), luma(b), chroma_red(mean)]);
     }
-    out
 }
 
 fn luma([r, g, b]: [i32; 3]) -> u8 {
@@ -155,13 +163,15 @@ mod tests {
         let rgb: Vec<u8> = (0..64_u8)
             .flat_map(|i| [i * 3, 255 - i * 2, 60 + i, i * 3, 255 - i * 2, 60 + i])
             .collect();
+        let mut bytes = Vec::new();
+        yuyv(&rgb, &mut bytes);
         let mut back = RgbImage::new(128, 1);
         let raw = RawFrame {
             stamp: Micros(0),
             format: PixelFormat::Yuyv,
             width: 128,
             height: 1,
-            bytes: &yuyv(&rgb),
+            bytes: &bytes,
         };
         raw.rgb_into(&mut back).unwrap();
         for (sent, seen) in rgb.iter().zip(back.pixels()) {

@@ -1,6 +1,7 @@
 //! Devices, threads and the program around the `freespace` core.
 
 pub mod bad_input;
+pub mod calibrate;
 pub mod camera;
 pub mod can;
 pub mod cli;

@@ -21,6 +21,7 @@ fn main() -> ExitCode {
         Command::Replay(args) => cli::run_replay(&args),
         Command::Demo(args) => cli::run_demo(&args),
         Command::Can(command) => cli::run_can(&command),
+        Command::Calibrate(command) => cli::run_calibrate(&command),
         Command::Doctor(args) => cli::run_doctor(&args),
     };
     cli::finish(result)

@@ -151,3 +151,85 @@ fn eval_names_its_faults_and_prints_the_keys_of_the_report() {
         "{error}"
     );
 }
+
+#[test]
+fn calibrate_names_its_faults() {
+    let folder = inputs();
+    let path = folder.path();
+    fs::create_dir(path.join("empty")).unwrap();
+    fs::write(
+        path.join("omni.yaml"),
+        "cam0:\n  camera_model: omni\n  intrinsics: [1, 2, 3, 4]\n",
+    )
+    .unwrap();
+    fs::write(
+        path.join("yaml.toml"),
+        CONFIG.replace("hfov_deg = 60.0", "source = \"omni.yaml\""),
+    )
+    .unwrap();
+    let lens = [
+        "calibrate",
+        "lens",
+        "images",
+        "--board",
+        "9x6",
+        "--square",
+        "0.025",
+    ];
+    let cases: [(&[&str], &[&str]); 8] = [
+        (&lens, &["0 of 3 pictures show the board 9x6", "inner corners"]),
+        (
+            &[
+                "calibrate",
+                "lens",
+                "empty",
+                "--board",
+                "9x6",
+                "--square",
+                "0.025",
+            ],
+            &["empty", "no PNG or JPEG"],
+        ),
+        (
+            &["calibrate", "lens", "images", "--board", "9", "--square", "0.025"],
+            &["INNER corners"],
+        ),
+        (
+            &["calibrate", "import", "omni.yaml"],
+            &["omni.yaml:2", "`omni` is not supported", "pinhole-radtan"],
+        ),
+        (
+            &["calibrate", "import", "times.txt"],
+            &["times.txt", "no `camera_matrix`"],
+        ),
+        (
+            &["replay", ".", "--config", "yaml.toml", "--out", "result"],
+            &["omni.yaml:2", "not supported"],
+        ),
+        (
+            &["calibrate", "mount", ".", "--config", "car.toml"],
+            &["it stands", "record a drive"],
+        ),
+        (
+            &[
+                "calibrate",
+                "ticks",
+                "log",
+                "--config",
+                "car.toml",
+                "--distance",
+                "100",
+            ],
+            &["describes no CAN message", "[wheels]"],
+        ),
+    ];
+    for (arguments, wanted) in cases {
+        let output = freespace(path, arguments);
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+        for text in wanted {
+            assert!(error.contains(text), "{arguments:?}: no `{text}` in\n{error}");
+        }
+    }
+    assert!(!path.join("result").exists());
+}

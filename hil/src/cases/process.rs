@@ -20,7 +20,7 @@ pub(crate) const BOOT: &[Case] = &[
     Case {
         name: "boot",
         injected: "nothing: the module starts on a running camera and bus",
-        required: "a good grid within 5 s of the start, no miss in 10 s",
+        required: "a good grid within 10 s of the start, no miss in 10 s",
         is_quick: true,
         run: boot,
     },
@@ -59,7 +59,7 @@ pub(crate) const CASES: &[Case] = &[
     Case {
         name: "sigkill",
         injected: "SIGKILL, and a new start",
-        required: "good grids again within 5 s of the new start",
+        required: "good grids again within 10 s of the new start",
         is_quick: true,
         run: sigkill,
     },
@@ -91,7 +91,7 @@ fn boot(rig: &Rig) -> Result<Seen, BenchError> {
     let mut seen = Seen::default();
     let seconds = since(bench.started_micros, bench.first.at_micros);
     seen.note(format!("first good grid after {seconds:.2} s"));
-    seen.require(seconds < 5.0, "the first good grid took longer than 5 s");
+    seen.require(seconds < 10.0, "the first good grid took longer than 10 s");
     std::thread::sleep(Duration::from_secs(10));
     all_good_since(&bench, bench.first.at_micros, &mut seen);
     finish(bench, Blind::default(), seen)
@@ -189,12 +189,12 @@ fn sigkill(rig: &Rig) -> Result<Seen, BenchError> {
     bench.module = Module::start(&rig.installation, None, &rig.file("module.log"))?;
     match bench
         .listener
-        .wait_for(Duration::from_secs(8), |heard| heard.is_good(STANDING))
+        .wait_for(Duration::from_secs(15), |heard| heard.is_good(STANDING))
     {
         Some(heard) => {
             let seconds = since(restarted, heard.at_micros);
             seen.recovery_s = Some(seconds);
-            seen.require(seconds < 5.0, format!("the first good grid took {seconds:.1} s"));
+            seen.require(seconds < 10.0, format!("the first good grid took {seconds:.1} s"));
         }
         None => seen.require(false, "no good answer after the restart"),
     }

@@ -80,8 +80,11 @@ pub(super) fn record(rig: &Rig, path: &Path, seconds: f64, rate_hz: f64) -> Resu
     serde_json::to_writer(&mut file, &head).map_err(Error::other)?;
     file.write_all(b"\n")?;
     let mut show = road.show()?;
-    for number in 0..pictures {
-        let picture = (show.picture)(number).ok_or_else(|| Error::other("the road ended"))?;
+    let mut picture = Vec::new();
+    for _ in 0..pictures {
+        if !(show.picture)(&mut picture) {
+            return Err(Error::other("the road ended").into());
+        }
         file.write_all(&picture)?;
     }
     for value in answers.iter().flatten() {
@@ -137,7 +140,13 @@ impl Tape {
             height: self.head.height,
             rate_hz: self.head.rate_hz,
             wheel_period_micros: self.head.wheel_period_micros,
-            picture: Box::new(move |_| pictures.next()),
+            picture: Box::new(move |picture| match pictures.next() {
+                Some(next) => {
+                    *picture = next;
+                    true
+                }
+                None => false,
+            }),
             counts: Box::new(move |_| counts.next()),
         }
     }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use super::CalibrateCommand;
 use crate::camera::replay::KeyFrameRule;
 use crate::eval::masks::TruthKind;
 
@@ -42,6 +43,9 @@ pub enum Command {
     /// Look at a CAN bus: frames decoded, and the module's load.
     #[command(subcommand)]
     Can(CanCommand),
+    /// Find what a configuration must be told of lens, mount and wheels.
+    #[command(subcommand)]
+    Calibrate(CalibrateCommand),
     /// Check this computer: rights, kernel, memory, devices, network, timer; each with its fix.
     Doctor(DoctorArgs),
 }

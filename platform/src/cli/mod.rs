@@ -3,6 +3,8 @@
 //! Exit codes: 0 done, 1 internal failure or a check of doctor that fails, 2 bad input (file, line or field, and fix are printed to standard error).
 
 mod args;
+mod calibrate;
+mod calibrate_args;
 mod can;
 mod demo;
 mod doctor;
@@ -19,6 +21,8 @@ pub use args::{
     Ablation, CanCommand, CanDecodeArgs, CanLoadArgs, Cli, Command, DemoArgs, DoctorArgs, EvalCommand, Pace,
     ReplayArgs, RunArgs, TruthArgs,
 };
+pub use calibrate::run as run_calibrate;
+pub use calibrate_args::{CalibrateCommand, ImportArgs, LensArgs, MountArgs, TicksArgs};
 pub use can::run as run_can;
 pub use demo::run as run_demo;
 pub use doctor::run as run_doctor;

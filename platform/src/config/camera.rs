@@ -1,4 +1,5 @@
-//! `[camera]`: size, rate, mount, and a lens given in full, by its field of view, or by a KITTI `calib.txt`.
+//! `[camera]`: size, rate, mount, and a lens given in full, by its field of view, or by a file: KITTI's `calib.txt`, or YAML of a
+//! calibration tool.
 
 use std::path::{Path, PathBuf};
 
@@ -8,6 +9,7 @@ use serde::Deserialize;
 
 use super::{DeviceSection, ImageSize, Invalid, within};
 use crate::bad_input::{BadInput, read_text};
+use crate::calibrate::import::{self, Choice};
 
 /// What the config says of the camera.
 #[derive(Clone, Debug, Deserialize)]
@@ -45,7 +47,8 @@ pub struct LensSection {
     pub k: Option<Vec<f64>>,
     /// Tangential coefficients of Brown-Conrady; zero without.
     pub p: Option<[f64; 2]>,
-    /// Calibration file in the replayed folder, its `P0:` line in KITTI's format.
+    /// Calibration file: KITTI's `calib.txt` in the replayed folder, its `P0:` line; or YAML (OpenCV, ROS, Kalibr) relative to the
+    /// config file, absolute once loaded from one.
     pub source: Option<PathBuf>,
     /// Horizontal field of view in degrees of a lens without distortion, its axis through the image centre.
     pub hfov_deg: Option<f64>,
@@ -54,8 +57,9 @@ pub struct LensSection {
 }
 
 /// Lens models of the core.
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum LensModel {
     /// Pinhole with radial and tangential distortion.
     BrownConrady,
@@ -206,6 +210,9 @@ impl LensSection {
     #[expect(clippy::cast_precision_loss, reason = "image sizes")]
     pub(super) fn resolve(&self, folder: &Path, width: usize, height: usize) -> Result<Lens, BadInput> {
         if let Some(file) = &self.source {
+            if import::is_yaml(file) {
+                return yaml_lens(file, ImageSize { width, height });
+            }
             return kitti_lens(&folder.join(file));
         }
         if let Some(hfov_deg) = self.hfov_deg {
@@ -241,6 +248,22 @@ impl LensSection {
                 p: self.p.unwrap_or_default(),
             }),
         })
+    }
+}
+
+/// The lens of a calibration in YAML; it must belong to images of this size, where the file states its own.
+fn yaml_lens(path: &Path, size: ImageSize) -> Result<Lens, BadInput> {
+    let imported = import::read(path, &Choice::default())?;
+    match imported.size {
+        Some(own) if own != size => Err(BadInput::of_file(
+            path,
+            format!(
+                "belongs to images of {}x{}, but the frames are {}x{}",
+                own.width, own.height, size.width, size.height
+            ),
+            "calibrate at the size of the frames, or record at the size of the calibration",
+        )),
+        _ => Ok(imported.lens),
     }
 }
 

@@ -33,6 +33,7 @@ use freespace::track::TrackConfig;
 use serde::Deserialize;
 
 use crate::bad_input::{BadInput, read_text};
+use crate::calibrate::import;
 use document::Document;
 
 /// Everything a run is configured with.
@@ -223,6 +224,11 @@ impl Config {
         config.network.manifest = folder.join(&config.network.manifest);
         if let Some(dbc) = &mut config.wheels.dbc {
             *dbc = folder.join(&*dbc);
+        }
+        if let Some(lens) = &mut config.camera.lens.source
+            && import::is_yaml(lens)
+        {
+            *lens = folder.join(&*lens);
         }
         Ok(config)
     }

@@ -440,3 +440,21 @@ fn the_interfaces_that_a_configuration_suggests_make_a_plan() {
             .is_none()
     );
 }
+
+/// A calibration file of another tool is the lens, looked for beside the configuration and held to the frames' size.
+#[test]
+fn yaml_beside_the_configuration_is_the_lens() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = shipped("kitti").replace("source = \"calib.txt\"", "source = \"front.yaml\"");
+    let config = Config::parse(&folder.path().join("car.toml"), &text).unwrap();
+    let yaml = "image_width: 1242\nimage_height: 375\ncamera_matrix:\n  data: [721.5, 0, 609.5, 0, 721.5, 172.8, 0, 0, 1]\n";
+    std::fs::write(folder.path().join("front.yaml"), yaml).unwrap();
+    let elsewhere = Path::new("elsewhere");
+    let camera = config.camera_for(elsewhere, 1242, 375).unwrap();
+    assert_eq!(camera.lens, Lens::pinhole(721.5, 721.5, 609.5, 172.8));
+    let error = config.camera_for(elsewhere, 640, 480).unwrap_err();
+    assert!(
+        error.message().contains("belongs to images of 1242x375"),
+        "{error}"
+    );
+}
