@@ -110,9 +110,15 @@ impl Publisher {
     }
 
     /// Takes note of a key frame. [`Verdict::Late`]: its instant of the cadence was answered already.
+    ///
+    /// The frames set the phase of the cadence: an instant between the last answered one and the expected one is new, and the
+    /// next one is expected a period after it.
     pub fn announce(&mut self, announcement: Announcement) -> Verdict {
         if let (Some(period), Some(due)) = (self.period_micros, announcement.due) {
-            if self.expected.is_some_and(|expected| due < expected) {
+            if self
+                .expected
+                .is_some_and(|expected| due.plus(period) <= expected)
+            {
                 self.late += 1;
                 return Verdict::Late;
             }
@@ -323,6 +329,43 @@ mod tests {
         assert_eq!(publisher.announce(announcement(1, 1_480_000)), Verdict::Late);
         assert_eq!(publisher.announce(announcement(2, 1_510_000)), Verdict::Publish);
         assert_eq!(publisher.answer(2), Verdict::Publish);
+    }
+
+    /// Frames at 100 Hz whose first one is captured `phase` after the publisher began to expect: the stamps of all that left.
+    fn answered_of_phase(phase: u64) -> Vec<u64> {
+        let mut publisher = publisher();
+        publisher.expect_from(Micros(0));
+        let mut left = Vec::new();
+        for now in (0..6_000_000).step_by(10_000) {
+            let after = u64::checked_sub(now, phase);
+            if let Some(after) = after.filter(|after| after % PERIOD == 0) {
+                let sequence = u32::try_from(after / PERIOD).unwrap();
+                let announced = Announcement {
+                    due: Some(Micros(now)),
+                    ..announcement(sequence, now)
+                };
+                publisher.announce(announced);
+                if publisher.answer(sequence) == Verdict::Publish {
+                    left.push(now);
+                }
+            }
+            left.extend(stamps_until(&mut publisher, now).iter().map(|(stamp, _)| *stamp));
+        }
+        left
+    }
+
+    #[test]
+    fn whatever_the_phase_of_the_first_frame_its_cadence_is_followed() {
+        for phase in (0..=1_000_000).step_by(10_000) {
+            let left = answered_of_phase(phase);
+            let own = left.iter().filter(|stamp| **stamp % PERIOD == phase % PERIOD);
+            let frames = (6_000_000 - phase).div_ceil(PERIOD);
+            assert!(own.count() as u64 + 1 >= frames, "{phase}: {left:?}");
+            // No instant twice but at the start, and none forgotten.
+            for pair in left.windows(2).skip(3) {
+                assert_eq!(pair[1] - pair[0], PERIOD, "{phase}: {left:?}");
+            }
+        }
     }
 
     #[test]
