@@ -67,15 +67,16 @@ impl PublisherThread {
             faults.look(&self.shared.counters.page_faults);
             wait(&self.shared.clock, self.task.next_timer());
             self.take_back();
-            while let Ok(news) = self.frame_news.pop() {
-                self.hear_frame(&news);
-            }
+            self.hear_frames();
             while let Ok(news) = self.key_frame_news.pop() {
+                // A key frame is announced before its job is handed over: what was heard of it may lie behind this answer only.
+                self.hear_frames();
                 is_over |= self.hear_key_frame(news);
             }
             is_over |= self.shared.is_given_up.load(Ordering::Relaxed);
-            // No answer can come any more at the end: what is still awaited leaves now.
             let until = if is_over {
+                // No answer can come any more: what is still awaited leaves now, and nothing new is expected.
+                self.task.expect_no_more();
                 Micros(u64::MAX)
             } else {
                 self.shared.clock.now()
@@ -83,6 +84,12 @@ impl PublisherThread {
             self.fall_back(until);
         }
         self.shut_down();
+    }
+
+    fn hear_frames(&mut self) {
+        while let Ok(news) = self.frame_news.pop() {
+            self.hear_frame(&news);
+        }
     }
 
     fn hear_frame(&mut self, news: &FrameNews) {

@@ -4,6 +4,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+mod devices;
+#[path = "../simulated/mod.rs"]
 mod simulated;
 
 use std::sync::Arc;
@@ -28,9 +30,9 @@ const SECONDS: f64 = 3.0;
 const KEY_FRAMES: u64 = 6;
 
 #[derive(Default)]
-struct Log {
-    publications: Vec<Publication>,
-    events: Vec<Event>,
+pub(crate) struct Log {
+    pub(crate) publications: Vec<Publication>,
+    pub(crate) events: Vec<Event>,
     stop_after: Option<(u64, Arc<AtomicBool>)>,
 }
 
@@ -159,7 +161,7 @@ fn a_sink_that_refuses_is_said_in_the_next_message() {
 
 /// Keeps the level and the faults of the last message.
 #[derive(Clone, Default)]
-struct LastMessage(Arc<std::sync::Mutex<Option<(QualityLevel, Faults)>>>);
+pub(crate) struct LastMessage(pub(crate) Arc<std::sync::Mutex<Option<(QualityLevel, Faults)>>>);
 
 impl SinkPort for LastMessage {
     fn publish(&mut self, message: &[u8], _frames: &[CanFrame]) -> Result<(), SinkMiss> {

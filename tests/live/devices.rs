@@ -1,0 +1,145 @@
+//! Drives on the clock of devices: a camera that stamps its frames as it captures them, and is silent now and then.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use freespace::health::{Faults, QualityLevel};
+use freespace::port::{CameraAnswer, CameraPort, Clock as _, FrameBuffer, WheelPort};
+use freespace::space::Micros;
+use freespace::track::WheelReading;
+use freespace_platform::clock::MonotonicClock;
+use freespace_platform::runtime::{RunError, RunSummary, Setup, run_live};
+use freespace_platform::statistics::Publication;
+
+use super::simulated::{self, Triangle};
+use super::{LastMessage, Log};
+
+/// How long a camera waits for a frame before it says that none came.
+const PATIENCE_MICROS: u64 = 100_000;
+
+/// A simulated camera whose frames are captured when their time has come, on the clock of devices.
+struct Captured {
+    frames: Box<dyn CameraPort + Send>,
+    clock: MonotonicClock,
+    start: Option<Micros>,
+    /// Into the drive, from and until when it gives nothing.
+    silence: std::ops::Range<u64>,
+    /// The next frame, stamped as the drive has it.
+    next: Option<FrameBuffer>,
+}
+
+impl Captured {
+    fn new(frames: Box<dyn CameraPort + Send>, silence: std::ops::Range<u64>) -> Self {
+        Self {
+            frames,
+            clock: MonotonicClock::of_devices(),
+            start: None,
+            silence,
+            next: None,
+        }
+    }
+
+    /// The newest frame captured so far, or the one to come.
+    fn fetch(&mut self, start: Micros) -> Option<FrameBuffer> {
+        let elapsed = Micros(self.clock.now().since(start));
+        if let Some(next) = self.next.take_if(|next| next.stamp >= elapsed) {
+            return Some(next);
+        }
+        self.frames.skip_before(elapsed);
+        let mut buffer = FrameBuffer::default();
+        (self.frames.next_frame(&mut buffer) != CameraAnswer::End).then_some(buffer)
+    }
+}
+
+impl CameraPort for Captured {
+    fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
+        let start = *self.start.get_or_insert_with(|| self.clock.now());
+        let Some(mut next) = self.fetch(start) else {
+            return CameraAnswer::End;
+        };
+        let begin = self.clock.now();
+        if self.silence.contains(&next.stamp.0) || start.plus(next.stamp.0) > begin.plus(PATIENCE_MICROS) {
+            self.clock.sleep_until(begin.plus(PATIENCE_MICROS));
+            self.next = (!self.silence.contains(&next.stamp.0)).then_some(next);
+            return CameraAnswer::Silent;
+        }
+        next.stamp = start.plus(next.stamp.0);
+        self.clock.sleep_until(next.stamp);
+        buffer.clone_from(&next);
+        CameraAnswer::Frame
+    }
+}
+
+/// Wheels of the drive, their stamps moved to the clock of devices.
+struct Moved {
+    inner: Box<dyn WheelPort + Send>,
+    start: Micros,
+}
+
+impl WheelPort for Moved {
+    fn readings_until(&mut self, until: Micros, take: &mut dyn FnMut(WheelReading)) {
+        let start = self.start.0;
+        let until = Micros(until.0.saturating_sub(start));
+        self.inner.readings_until(until, &mut |mut reading| {
+            let (WheelReading::Counts { stamp, .. } | WheelReading::Speeds { stamp, .. }) = &mut reading;
+            *stamp = stamp.plus(start);
+            take(reading);
+        });
+    }
+}
+
+/// A drive of `seconds` on the clock of devices, whose camera is silent for a part of it.
+pub(crate) fn on_devices(
+    seconds: f64,
+    silence: std::ops::Range<u64>,
+    wheels: impl FnOnce(Box<dyn WheelPort + Send>) -> Box<dyn WheelPort + Send>,
+) -> Setup {
+    let (camera, frames, encoders) = simulated::devices(seconds);
+    let clock = MonotonicClock::of_devices();
+    let moved = Box::new(Moved {
+        inner: encoders,
+        start: clock.now(),
+    });
+    let frames = Box::new(Captured::new(frames, silence));
+    let mut setup = simulated::setup(camera, frames, Some(wheels(moved)), Triangle::new(0..0));
+    setup.real_time.lock_memory = false;
+    setup.clock = clock;
+    setup
+}
+
+fn drive(setup: Setup, log: &mut Log) -> RunSummary {
+    run_live(setup, &Arc::default(), log).unwrap()
+}
+
+fn is_fresh(publication: &&Publication) -> bool {
+    publication.level < QualityLevel::Moved
+}
+
+/// Never comes back, once it is asked for the tenth time.
+struct HangingWheels {
+    asked: u32,
+}
+
+impl WheelPort for HangingWheels {
+    fn readings_until(&mut self, _until: Micros, _take: &mut dyn FnMut(WheelReading)) {
+        self.asked += 1;
+        while self.asked == 10 {
+            std::thread::sleep(Duration::from_secs(1));
+        }
+    }
+}
+
+#[test]
+fn a_hang_is_answered_until_it_is_noticed_and_the_last_word_leaves() {
+    let mut log = Log::default();
+    let last = LastMessage::default();
+    let mut setup = on_devices(60.0, 0..0, |_| Box::new(HangingWheels { asked: 0 }));
+    setup.devices.sinks.push(Box::new(last.clone()));
+    let error = run_live(setup, &Arc::default(), &mut log).unwrap_err();
+    assert!(matches!(error, RunError::Hung(_)), "{error}");
+    let (_, faults) = last.0.lock().unwrap().unwrap();
+    assert!(faults.contains(Faults::SHUTTING_DOWN));
+    // Noticed after 5 s: an answer each half second, and none for instants to come.
+    let count = log.publications.len();
+    assert!((8..=40).contains(&count), "{count}");
+}
