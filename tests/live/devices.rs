@@ -1,14 +1,18 @@
 //! Drives on the clock of devices: a camera that stamps its frames as it captures them, and is silent now and then.
 
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
+use freespace::emit::CanFrame;
 use freespace::health::{Faults, QualityLevel};
-use freespace::port::{CameraAnswer, CameraPort, Clock as _, FrameBuffer, WheelPort};
+use freespace::port::{CameraAnswer, CameraPort, Clock as _, FrameBuffer, SinkMiss, SinkPort, WheelPort};
 use freespace::space::Micros;
 use freespace::track::WheelReading;
 use freespace_platform::clock::MonotonicClock;
-use freespace_platform::runtime::{RunError, RunSummary, Setup, run_live};
+use freespace_platform::runtime::{
+    FrameReport, KeyFrameReport, Observer, RunError, RunSummary, Setup, run_live,
+};
 use freespace_platform::statistics::Publication;
 
 use super::simulated::{self, Triangle};
@@ -21,7 +25,8 @@ const PATIENCE_MICROS: u64 = 100_000;
 struct Captured {
     frames: Box<dyn CameraPort + Send>,
     clock: MonotonicClock,
-    start: Option<Micros>,
+    /// When the drive began: at the camera's first breath.
+    start: Arc<OnceLock<Micros>>,
     /// Into the drive, from and until when it gives nothing.
     silence: std::ops::Range<u64>,
     /// The next frame, stamped as the drive has it.
@@ -29,16 +34,6 @@ struct Captured {
 }
 
 impl Captured {
-    fn new(frames: Box<dyn CameraPort + Send>, silence: std::ops::Range<u64>) -> Self {
-        Self {
-            frames,
-            clock: MonotonicClock::of_devices(),
-            start: None,
-            silence,
-            next: None,
-        }
-    }
-
     /// The newest frame captured so far, or the one to come.
     fn fetch(&mut self, start: Micros) -> Option<FrameBuffer> {
         let elapsed = Micros(self.clock.now().since(start));
@@ -53,7 +48,7 @@ impl Captured {
 
 impl CameraPort for Captured {
     fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
-        let start = *self.start.get_or_insert_with(|| self.clock.now());
+        let start = *self.start.get_or_init(|| self.clock.now());
         let Some(mut next) = self.fetch(start) else {
             return CameraAnswer::End;
         };
@@ -73,12 +68,14 @@ impl CameraPort for Captured {
 /// Wheels of the drive, their stamps moved to the clock of devices.
 struct Moved {
     inner: Box<dyn WheelPort + Send>,
-    start: Micros,
+    start: Arc<OnceLock<Micros>>,
 }
 
 impl WheelPort for Moved {
     fn readings_until(&mut self, until: Micros, take: &mut dyn FnMut(WheelReading)) {
-        let start = self.start.0;
+        let Some(start) = self.start.get().map(|start| start.0) else {
+            return;
+        };
         let until = Micros(until.0.saturating_sub(start));
         self.inner.readings_until(until, &mut |mut reading| {
             let (WheelReading::Counts { stamp, .. } | WheelReading::Speeds { stamp, .. }) = &mut reading;
@@ -96,11 +93,18 @@ pub(crate) fn on_devices(
 ) -> Setup {
     let (camera, frames, encoders) = simulated::devices(seconds);
     let clock = MonotonicClock::of_devices();
+    let start = Arc::<OnceLock<Micros>>::default();
     let moved = Box::new(Moved {
         inner: encoders,
-        start: clock.now(),
+        start: Arc::clone(&start),
     });
-    let frames = Box::new(Captured::new(frames, silence));
+    let frames = Box::new(Captured {
+        frames,
+        clock: clock.clone(),
+        start,
+        silence,
+        next: None,
+    });
     let mut setup = simulated::setup(camera, frames, Some(wheels(moved)), Triangle::new(0..0));
     setup.real_time.lock_memory = false;
     setup.clock = clock;
@@ -109,6 +113,74 @@ pub(crate) fn on_devices(
 
 fn drive(setup: Setup, log: &mut Log) -> RunSummary {
     run_live(setup, &Arc::default(), log).unwrap()
+}
+
+/// Counts the messages that left.
+#[derive(Clone, Default)]
+struct Count(Arc<AtomicUsize>);
+
+impl SinkPort for Count {
+    fn publish(&mut self, _message: &[u8], _frames: &[CanFrame]) -> Result<(), SinkMiss> {
+        self.0.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+}
+
+/// Stalls for five seconds with the second publication; how many messages left meanwhile.
+#[derive(Default)]
+struct Stalled {
+    count: Count,
+    seen: usize,
+    left_meanwhile: usize,
+}
+
+impl Observer for Stalled {
+    fn frame(&mut self, _report: &FrameReport) {}
+
+    fn key_frame(&mut self, _report: &KeyFrameReport<'_>) {
+        self.seen += 1;
+        if self.seen == 2 {
+            let before = self.count.0.load(Ordering::Relaxed);
+            std::thread::sleep(Duration::from_secs(5));
+            self.left_meanwhile = self.count.0.load(Ordering::Relaxed) - before;
+        }
+    }
+}
+
+#[test]
+fn an_observer_that_stalls_holds_no_answer_back_while_the_camera_is_silent() {
+    let mut observer = Stalled::default();
+    let mut setup = on_devices(7.0, 300_000..7_000_000, |wheels| wheels);
+    setup.devices.sinks.push(Box::new(observer.count.clone()));
+    run_live(setup, &Arc::default(), &mut observer).unwrap();
+    assert!(observer.left_meanwhile >= 8, "{} of 10", observer.left_meanwhile);
+}
+
+#[test]
+fn a_camera_that_is_silent_in_mid_drive_is_answered_for_and_comes_back() {
+    let mut log = Log::default();
+    let summary = drive(on_devices(6.0, 2_000_000..4_000_000, |wheels| wheels), &mut log);
+    assert!((11..=13).contains(&summary.key_frames), "{summary:?}");
+    let silent: Vec<bool> = log
+        .publications
+        .iter()
+        .map(|publication| publication.faults.contains(Faults::CAMERA_SILENT))
+        .collect();
+    let count = silent.iter().filter(|silent| **silent).count();
+    assert!((2..=5).contains(&count), "{silent:?}");
+    assert!(!silent[0] && !silent[silent.len() - 1], "{silent:?}");
+    let fresh = log.publications.iter().filter(is_fresh).count();
+    assert!(fresh >= 1, "{:?}", log.publications);
+}
+
+#[test]
+fn a_camera_that_never_gives_a_frame_is_answered_for_from_the_start() {
+    let mut log = Log::default();
+    let summary = drive(on_devices(2.0, 0..2_000_000, |wheels| wheels), &mut log);
+    assert!((3..=5).contains(&summary.key_frames), "{summary:?}");
+    assert!(log.publications.iter().all(|publication| {
+        publication.level == QualityLevel::Invalid && publication.faults.contains(Faults::CAMERA_SILENT)
+    }));
 }
 
 fn is_fresh(publication: &&Publication) -> bool {

@@ -24,8 +24,8 @@ use super::publisher::{LENT, PublisherThread, SPARE};
 const FRAME_BUFFERS: usize = 4;
 /// Jobs: one being collected, its successor, one waiting, one being worked on, one with the publisher, two lent to the observer.
 const JOBS: usize = 7;
-/// Outputs: one being filled, one with the publisher, one for fallbacks, two lent to the observer.
-const OUTPUTS: usize = 6;
+/// Outputs: one being filled, one with the publisher, those for fallbacks, those lent to the observer.
+const OUTPUTS: usize = 2 + SPARE + LENT;
 /// Lessons: one being written, one waiting, one being learnt.
 const LESSONS: usize = 3;
 /// Frame reports that wait for the observer: 2 s at 60 frames a second.

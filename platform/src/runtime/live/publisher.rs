@@ -27,8 +27,8 @@ use super::{Counters, Shared};
 
 /// Publications that the observer may hold at a time.
 pub(super) const LENT: usize = 2;
-/// Outputs kept here for fallbacks.
-pub(super) const SPARE: usize = 2;
+/// Outputs kept here for fallbacks: one more than can be lent, so that an observer that stalls never holds the last one.
+pub(super) const SPARE: usize = LENT + 1;
 
 /// Rounds after which every box has been through: an announcement, an answer and a return are a round each.
 const WARM_ROUNDS: u32 = 24;
@@ -146,7 +146,7 @@ impl PublisherThread {
                 frame: self.shared.frame_progress.place().stage(),
                 key_frame: self.shared.key_frame_progress.place().stage(),
             };
-            // One is kept for this: fewer are lent than there are.
+            // One is kept for this: the last one is never lent.
             let Some(mut output) = self.outputs.pop() else {
                 return;
             };
@@ -203,7 +203,7 @@ impl PublisherThread {
         }
     }
 
-    /// Counts a publication and lends it to the observer, if that holds few enough.
+    /// Counts a publication and lends it to the observer, if that holds few enough and another output is at hand.
     fn show(&mut self, job: Option<Box<KeyFrameJob>>, output: Box<KeyFrameOutput>) {
         let counters = &self.shared.counters;
         Counters::add(&counters.key_frames, 1);
@@ -212,7 +212,7 @@ impl PublisherThread {
         if self.publications.push(Publication::of(&output)).is_err() {
             Counters::add(&counters.unobserved, 1);
         }
-        if self.lent < LENT {
+        if self.lent < LENT && !self.outputs.is_empty() {
             match self.seen.push(Observation { job, output }) {
                 Ok(()) => {
                     self.lent += 1;
