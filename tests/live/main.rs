@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 mod devices;
+mod panics;
 #[path = "../simulated/mod.rs"]
 mod simulated;
 

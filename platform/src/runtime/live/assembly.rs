@@ -181,27 +181,58 @@ impl Threads {
             observer,
             real_time,
         } = self;
+        let starter = Starter {
+            shared: Arc::clone(&observer.shared),
+            real_time,
+        };
         let handles = vec![
-            start(ThreadRole::Publisher, real_time, move || publisher.run())?,
-            start(ThreadRole::KeyFrame, real_time, move || key_frame.run())?,
-            start(ThreadRole::Frame, real_time, move || frame.run())?,
-            start(ThreadRole::Camera, real_time, move || camera.run())?,
+            starter.start(ThreadRole::Publisher, move || publisher.run())?,
+            starter.start(ThreadRole::KeyFrame, move || key_frame.run())?,
+            starter.start(ThreadRole::Frame, move || frame.run())?,
+            starter.start(ThreadRole::Camera, move || camera.run())?,
         ];
         Ok((handles, observer))
     }
 }
 
-fn start(
-    role: ThreadRole,
+struct Starter {
+    shared: Arc<Shared>,
     real_time: RealTimeConfig,
-    body: impl FnOnce() + Send + 'static,
-) -> Result<JoinHandle<()>, RunError> {
-    let thread = rights::thread_builder(role, &real_time).spawn(move || {
-        // What is refused was told when the rights were tried, before the start.
-        let _ = rights::enter(role, &real_time);
-        body();
-    });
-    thread.map_err(RunError::Thread)
+}
+
+impl Starter {
+    fn start(
+        &self,
+        role: ThreadRole,
+        body: impl FnOnce() + Send + 'static,
+    ) -> Result<JoinHandle<()>, RunError> {
+        let real_time = self.real_time;
+        let last_resort = LastResort {
+            role,
+            shared: Arc::clone(&self.shared),
+        };
+        let thread = rights::thread_builder(role, &real_time).spawn(move || {
+            let _last_resort = last_resort;
+            // What is refused was told when the rights were tried, before the start.
+            let _ = rights::enter(role, &real_time);
+            body();
+        });
+        thread.map_err(RunError::Thread)
+    }
+}
+
+/// A thread that panics outside its guarded steps takes the drive with it, so that no other thread waits for it for ever.
+struct LastResort {
+    role: ThreadRole,
+    shared: Arc<Shared>,
+}
+
+impl Drop for LastResort {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.shared.abandon(self.role == ThreadRole::Publisher);
+        }
+    }
 }
 
 fn filled<T>(count: usize, make: impl Fn() -> T) -> Vec<T> {

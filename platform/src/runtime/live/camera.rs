@@ -58,7 +58,9 @@ impl CameraThread {
     }
 
     fn is_to_end(&self) -> bool {
-        self.stop.load(Ordering::Relaxed) || self.shared.restarts.is_spent()
+        self.stop.load(Ordering::Relaxed)
+            || self.shared.restarts.is_spent()
+            || self.shared.is_given_up.load(Ordering::Relaxed)
     }
 
     /// A free buffer: with four of them there always is one, for the frame task holds one, and one waits.
@@ -67,12 +69,15 @@ impl CameraThread {
     }
 
     fn next_frame(&mut self, buffer: &mut FrameBuffer, is_started: bool) -> CameraAnswer {
-        if is_started {
-            let skipped = self.camera.skip_before(self.shared.clock.now());
-            Counters::add(&self.shared.counters.dropped_frames, skipped);
-        }
-        let camera = &mut self.camera;
-        guarded(|| camera.next_frame(buffer)).unwrap_or_else(|_| {
+        let (camera, shared) = (&mut self.camera, &self.shared);
+        let fetched = guarded(|| {
+            if is_started {
+                let skipped = camera.skip_before(shared.clock.now());
+                Counters::add(&shared.counters.dropped_frames, skipped);
+            }
+            camera.next_frame(buffer)
+        });
+        fetched.unwrap_or_else(|_| {
             let may = self.shared.restarts.may_restart();
             let event = if may {
                 Event::Panicked

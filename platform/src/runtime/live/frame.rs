@@ -58,7 +58,6 @@ impl FrameThread {
         let mut faults = FaultMeter::warm_after(WARM_FRAMES);
         while let Some(buffer) = self.shared.frames.wait() {
             faults.look(&self.shared.counters.page_faults);
-            self.learn();
             let is_wanted =
                 buffer.key_frame_wanted | self.shared.key_frame_wanted.swap(false, Ordering::Relaxed);
             let outcome = self.step(&buffer, is_wanted);
@@ -88,16 +87,12 @@ impl FrameThread {
         self.shared.jobs.close();
     }
 
-    fn learn(&mut self) {
-        if let Some(lesson) = self.shared.lessons.take() {
-            self.task.learn(&lesson);
-            // There is room for every lesson.
-            let _ = self.learnt.push(lesson);
-        }
-    }
-
     fn step(&mut self, buffer: &FrameBuffer, is_wanted: bool) -> Option<FrameOutcome> {
+        let lesson = self.shared.lessons.take();
         let stepped = guarded(|| {
+            if let Some(lesson) = &lesson {
+                self.task.learn(lesson);
+            }
             if let Some(wheels) = &mut self.wheels {
                 let until = buffer.stamp.plus(WHEEL_LOOKAHEAD_MICROS);
                 wheels.readings_until(until, &mut |reading| self.task.wheel(reading));
@@ -111,6 +106,10 @@ impl FrameThread {
                 &shared.frame_progress,
             )
         });
+        if let Some(lesson) = lesson {
+            // There is room for every lesson.
+            let _ = self.learnt.push(lesson);
+        }
         match stepped {
             Ok(Ok(outcome)) => Some(outcome),
             Ok(Err(error)) => {

@@ -144,11 +144,12 @@ impl LiveRun {
         let allocations_before = allocations();
         let (handles, watching) = threads.start()?;
         watching.run(observer)?;
+        let mut is_whole = true;
         for handle in handles {
-            // Every step is guarded: a thread that panics all the same does so outside its work, at its very end.
-            let _ = handle.join();
+            is_whole &= handle.join().is_ok();
         }
-        if shared.restarts.is_spent() {
+        // Every step is guarded: a thread that dies all the same does so outside its work, and is no better than one too many.
+        if shared.restarts.is_spent() || !is_whole {
             return Err(RunError::PanickedTooOften);
         }
         Ok(shared.summary(allocations() - allocations_before))
@@ -184,6 +185,19 @@ fn rehearse(real_time: &RealTimeConfig) -> Result<Vec<Lack>, RunError> {
 }
 
 impl Shared {
+    /// A thread is gone: the others come to their end, and nobody waits for it. The publisher says the last word, unless it is
+    /// the one that is gone.
+    fn abandon(&self, is_publisher_gone: bool) {
+        self.is_given_up.store(true, Ordering::Relaxed);
+        self.frames.close();
+        self.jobs.close();
+        if is_publisher_gone {
+            self.is_published.store(true, Ordering::Release);
+        }
+        self.publisher_bell.ring();
+        self.observer_bell.ring();
+    }
+
     fn summary(&self, allocations_after_start: u64) -> RunSummary {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         RunSummary {

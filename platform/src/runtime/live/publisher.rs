@@ -122,7 +122,7 @@ impl PublisherThread {
             Ok(Verdict::Publish) => {
                 self.send(&output);
                 self.shared.publisher_progress.rest();
-                self.task.keep(&output);
+                self.keep(&output);
                 self.show(Some(job), output);
             }
             Ok(Verdict::Late) => {
@@ -130,13 +130,20 @@ impl PublisherThread {
                 let micros = clock.now().since(output.stamp);
                 self.teller
                     .tell(clock.now(), Event::AnsweredLate(sequence, micros));
-                self.task.keep(&output);
+                self.keep(&output);
                 self.free(Some(job), Some(output));
             }
             Err(Panicked) => {
                 self.note_panic();
                 self.free(Some(job), Some(output));
             }
+        }
+    }
+
+    fn keep(&mut self, output: &KeyFrameOutput) {
+        let task = &mut self.task;
+        if guarded(|| task.keep(output)).is_err() {
+            self.note_panic();
         }
     }
 
@@ -172,22 +179,33 @@ impl PublisherThread {
 
     /// *emit* panicked: the next message is an invalid one.
     fn note_panic(&mut self) {
-        let blame = Blame::Stage(Stage::Emit);
-        let now = self.shared.clock.now();
         self.shared.publisher_progress.rest();
-        if self.shared.restarts.may_restart() {
-            self.teller.tell(now, Event::Panicked(blame));
-            self.task.panicked(blame, now);
-        } else {
-            self.teller.tell(now, Event::PanickedTooOften(blame));
+        if self.count_panic() {
+            let now = self.shared.clock.now();
+            self.task.panicked(Blame::Stage(Stage::Emit), now);
         }
+    }
+
+    /// Whether the drive survives it.
+    fn count_panic(&mut self) -> bool {
+        let blame = Blame::Stage(Stage::Emit);
+        let may_restart = self.shared.restarts.may_restart();
+        let event = if may_restart {
+            Event::Panicked
+        } else {
+            Event::PanickedTooOften
+        };
+        self.teller.tell(self.shared.clock.now(), event(blame));
+        may_restart
     }
 
     fn shut_down(&mut self) {
         if let Some(mut output) = self.outputs.pop() {
             let clock = &self.shared.clock;
-            self.task.shut_down(clock.now(), &mut output, clock);
-            self.send(&output);
+            let task = &mut self.task;
+            if guarded(|| task.shut_down(clock.now(), &mut output, clock)).is_ok() {
+                self.send(&output);
+            }
         }
         self.shared.is_published.store(true, Ordering::Release);
         self.shared.observer_bell.ring();
@@ -195,10 +213,20 @@ impl PublisherThread {
 
     fn send(&mut self, output: &KeyFrameOutput) {
         let message = &output.message[..output.message_len];
-        for sink in &mut self.sinks {
-            if sink.publish(message, &output.can_frames).is_err() {
-                self.task.report(Faults::CAN_SEND_FAILED);
-                self.teller.tell(self.shared.clock.now(), Event::SinkRefused);
+        for index in 0..self.sinks.len() {
+            let sink = &mut self.sinks[index];
+            match guarded(|| sink.publish(message, &output.can_frames)) {
+                Ok(Ok(())) => {}
+                Ok(Err(_)) => {
+                    self.task.report(Faults::CAN_SEND_FAILED);
+                    self.teller.tell(self.shared.clock.now(), Event::SinkRefused);
+                }
+                // A sink cannot be started anew, and this message is as good as it was: the next one says it.
+                Err(Panicked) => {
+                    self.task
+                        .report(Faults::CAN_SEND_FAILED | Faults::STAGE_PANICKED);
+                    self.count_panic();
+                }
             }
         }
     }
