@@ -78,6 +78,11 @@ impl PublishTask {
         }
     }
 
+    /// Faults that every message says from now on, besides those of the start.
+    pub fn say_always(&mut self, faults: Faults) {
+        self.standing |= faults;
+    }
+
     /// Takes note of a key frame.
     pub fn announce(&mut self, announcement: Announcement) {
         self.publisher.announce(announcement);

@@ -70,6 +70,8 @@ pub(in crate::cli) fn open_network(config: &Config) -> Result<Network, Failure> 
     let manifest = Manifest::load(&config.network.manifest).map_err(Failure::bad_input)?;
     let real_time = config.real_time();
     let mut plan = MemoryPlan::new();
+    // Done first in `main`; once more, to hear whether it was refused.
+    let unsettled = rights::settle_allocator().err();
     let (opened, lacks) = rights::adopt_new_threads(ThreadRole::Network, &real_time, || {
         plan.measure_library("network", || {
             segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
@@ -79,7 +81,7 @@ pub(in crate::cli) fn open_network(config: &Config) -> Result<Network, Failure> 
         segmenter: opened.map_err(Failure::bad_input)?,
         real_time,
         plan,
-        lacks: lacks.into_iter().collect(),
+        lacks: unsettled.into_iter().chain(lacks).collect(),
     })
 }
 

@@ -168,6 +168,11 @@ impl Threads {
         })
     }
 
+    /// Every message will say these faults too.
+    pub(super) fn say_always(&mut self, faults: Faults) {
+        self.publisher.task.say_always(faults);
+    }
+
     /// Starts the threads, those first that others hand over to; each sets itself up for its role before it takes part.
     ///
     /// # Errors

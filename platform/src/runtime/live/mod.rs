@@ -125,7 +125,7 @@ impl LiveRun {
     /// A thread could not be started, hung, or panicked too often.
     pub fn run(self, observer: &mut dyn Observer) -> Result<RunSummary, RunError> {
         let Self {
-            threads,
+            mut threads,
             shared,
             real_time,
             mut plan,
@@ -135,6 +135,7 @@ impl LiveRun {
             && let Err(lack) = lock_memory()
         {
             lacks.push(lack);
+            threads.say_always(Faults::RIGHTS_LACKING);
         }
         plan.complete();
         observer.started(&Start {
