@@ -171,7 +171,6 @@ impl KeyFrameTask {
         output.level = level;
         output.blame = suspect.map(|stage| self.blame(&watch.times, level, stage));
         output.times = watch.times;
-        self.last_pose = Some(world_from_camera);
         Ok(())
     }
 
@@ -302,6 +301,8 @@ impl KeyFrameTask {
                 self.reproject_last(world_from_camera);
             }
         }
+        // Here, for the probabilities are this key frame's from now on, even if it is given up later.
+        self.last_pose = Some(*world_from_camera);
         self.learn_colours();
         watch.end(Stage::Segmentation);
         answer.is_ok()
