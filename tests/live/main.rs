@@ -88,9 +88,9 @@ fn a_live_drive_answers_every_key_frame_and_allocates_nothing() {
 }
 
 /// Panics once, when it is asked for the tenth time.
-struct PanickingWheels {
-    inner: Box<dyn WheelPort + Send>,
-    asked: u32,
+pub(crate) struct PanickingWheels {
+    pub(crate) inner: Box<dyn WheelPort + Send>,
+    pub(crate) asked: u32,
 }
 
 impl WheelPort for PanickingWheels {

@@ -5,12 +5,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use freespace::emit::CanFrame;
 use freespace::health::Faults;
+use freespace::pipeline::Cadence;
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer, SinkMiss, SinkPort};
 use freespace::space::Micros;
 use freespace_platform::runtime::{RunError, run_live};
 
 use super::simulated::{self, Triangle};
-use super::{KEY_FRAMES, LastMessage, Log, drive, setup};
+use super::{KEY_FRAMES, LastMessage, Log, PanickingWheels, drive, setup};
 
 fn panic() -> ! {
     std::panic::resume_unwind(Box::new("injected"))
@@ -96,4 +97,34 @@ fn a_camera_that_always_panics_ends_the_drive_in_order() {
     assert!(matches!(error, RunError::PanickedTooOften), "{error}");
     let (_, faults) = last.0.lock().unwrap().unwrap();
     assert!(faults.contains(Faults::SHUTTING_DOWN));
+}
+
+/// Wants the tenth frame to become a key frame.
+struct Wishing(Box<dyn CameraPort + Send>, u32);
+
+impl CameraPort for Wishing {
+    fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
+        let answer = self.0.next_frame(buffer);
+        self.1 += 1;
+        buffer.key_frame_wanted = self.1 == 10;
+        answer
+    }
+}
+
+#[test]
+fn a_wish_for_a_key_frame_outlives_the_frame_that_carried_it() {
+    let (camera, frames, inner) = simulated::devices(super::SECONDS);
+    let wheels = Box::new(PanickingWheels { inner, asked: 0 });
+    let mut setup = simulated::setup(
+        camera,
+        Box::new(Wishing(frames, 0)),
+        Some(wheels),
+        Triangle::new(0..0),
+    );
+    setup.real_time.lock_memory = false;
+    setup.config.cadence = Cadence::OnDemand;
+    let mut log = Log::default();
+    let summary = drive(setup, &mut log);
+    // The message of the panic, and the key frame.
+    assert_eq!((summary.restarts, summary.key_frames), (1, 2));
 }

@@ -67,6 +67,10 @@ impl FrameThread {
             let _ = self.returned.push(buffer);
             let Some(outcome) = outcome else {
                 Counters::add(&self.shared.counters.dropped_frames, 1);
+                // A wish for a key frame outlives the frame that carried it.
+                self.shared
+                    .key_frame_wanted
+                    .fetch_or(is_wanted, Ordering::Relaxed);
                 continue;
             };
             Counters::add(&self.shared.counters.frames, 1);

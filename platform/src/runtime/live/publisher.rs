@@ -63,9 +63,8 @@ impl PublisherThread {
             // A camera that never gives a frame is answered for from the start.
             self.task.expect_from(self.shared.clock.now());
         }
-        while !is_over {
+        loop {
             faults.look(&self.shared.counters.page_faults);
-            wait(&self.shared.clock, self.task.next_timer());
             self.take_back();
             self.hear_frames();
             while let Ok(news) = self.key_frame_news.pop() {
@@ -82,6 +81,11 @@ impl PublisherThread {
                 self.shared.clock.now()
             };
             self.fall_back(until);
+            if is_over {
+                break;
+            }
+            // Only after a look: what was told before this thread claimed its bell rang for nobody.
+            wait(&self.shared.clock, self.task.next_timer());
         }
         self.shut_down();
     }
