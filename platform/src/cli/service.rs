@@ -1,5 +1,6 @@
 //! What the world outside is told of a live run: at start on standard error, while it runs through the service manager.
 
+use super::terminal;
 use crate::runtime::supervision::{Notifier, Watchdog};
 use crate::runtime::{Start, Status};
 use crate::statistics::DriveStatistics;
@@ -19,7 +20,9 @@ impl Service {
     pub(super) fn from_environment() -> Self {
         let notifier = Notifier::from_environment();
         if let Err(error) = &notifier {
-            eprintln!("the service manager of NOTIFY_SOCKET cannot be reached: {error}");
+            terminal::tell(format_args!(
+                "the service manager of NOTIFY_SOCKET cannot be reached: {error}"
+            ));
         }
         Self {
             notifier: notifier.ok(),
@@ -32,9 +35,9 @@ impl Service {
     /// Tells what is lacking, and what memory is held.
     pub(super) fn started(&self, start: &Start<'_>) {
         for lack in start.lacks {
-            eprintln!("lacking: {lack}; {}", lack.fix());
+            terminal::tell(format_args!("lacking: {lack}; {}", lack.fix()));
         }
-        eprint!("memory held from now on\n{}", start.plan);
+        terminal::tell_over(format_args!("memory held from now on\n{}", start.plan));
     }
 
     /// Ready with the first answer; the watchdog is fed with fresh ones only.

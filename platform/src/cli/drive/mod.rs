@@ -18,7 +18,7 @@ use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::segmentation::{Tile, TileConfig};
 use freespace::track::WheelConfig;
 
-use super::{Failure, Pace};
+use super::{Failure, Pace, terminal};
 use crate::bad_input::BadInput;
 use crate::config::Config;
 use crate::eval::grid::GridLayout;
@@ -122,7 +122,7 @@ pub(in crate::cli) fn run_live(
     runtime::run_live(setup, stop, observer).map_err(|error| {
         if let RunError::Hung(_) = error {
             // The hanging thread would meet the libraries' destructors at an ordinary end.
-            eprintln!("freespace: {error}");
+            terminal::tell(format_args!("freespace: {error}"));
             end_at_once(HUNG);
         }
         internal(&error)
