@@ -206,7 +206,11 @@ impl KeyFrameTask {
             output.faults.insert(Faults::MAP_LATE);
             return false;
         }
+        let rejected = self.map.rejected_wheel_steps();
         self.map.insert(&job.batch);
+        if self.map.rejected_wheel_steps() > rejected {
+            output.faults.insert(Faults::WHEELS_SLIP);
+        }
         for _ in 0..BUNDLE_REFINEMENTS {
             if watch.is_over(Stage::Map) {
                 output.faults.insert(Faults::MAP_LATE);

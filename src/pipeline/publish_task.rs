@@ -18,6 +18,15 @@ use crate::port::Clock;
 use crate::space::{Micros, Pose};
 use crate::stage::Stage;
 
+/// Faults of a message and its way out, not of the answer in it: an answer that is moved later does not say them again.
+const OF_THE_MESSAGE: Faults = Faults(
+    Faults::CAN_SEND_FAILED.0
+        | Faults::HANDOVER_DROPPED.0
+        | Faults::STAGE_PANICKED.0
+        | Faults::RIGHTS_LACKING.0
+        | Faults::DEADLINE_MISSED.0,
+);
+
 /// What the tasks are at, for the blame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Workers {
@@ -106,6 +115,7 @@ impl PublishTask {
     pub fn keep(&mut self, output: &KeyFrameOutput) {
         if !self.last.is_known || output.stamp > self.last.output.stamp {
             self.last.output.copy_from(output);
+            self.last.output.faults.remove(OF_THE_MESSAGE);
             self.last.is_known = true;
             self.last.is_adopted = false;
         }

@@ -22,6 +22,8 @@ use super::{Counters, Shared};
 pub(super) enum FrameNews {
     /// A key frame was taken up.
     Announced(Announcement),
+    /// A key frame gave way to a newer one, or found no free job: its work is not done.
+    Dropped,
     /// The task panicked, and was started anew.
     Panicked(Blame),
     /// No frame will come any more.
@@ -153,6 +155,7 @@ impl FrameThread {
         let now = self.shared.clock.now();
         let Some(mut next) = self.jobs.pop().or_else(|| self.returned_jobs.pop().ok()) else {
             self.teller.tell(now, Event::NoFreeJob(sequence));
+            self.tell(FrameNews::Dropped);
             FrameTask::recycle(&mut self.job);
             return;
         };
@@ -161,6 +164,7 @@ impl FrameThread {
         if let Some(displaced) = self.shared.jobs.post(complete) {
             // The publisher's timer answers for it.
             self.teller.tell(now, Event::JobDisplaced(displaced.sequence));
+            self.tell(FrameNews::Dropped);
             self.jobs.push(displaced);
         }
     }

@@ -99,6 +99,7 @@ impl PublisherThread {
     fn hear_frame(&mut self, news: &FrameNews) {
         match news {
             FrameNews::Announced(announcement) => self.task.announce(*announcement),
+            FrameNews::Dropped => self.task.report(Faults::HANDOVER_DROPPED),
             FrameNews::Panicked(blame) => self.task.panicked(*blame, self.shared.clock.now()),
             FrameNews::Ended => self.task.expect_no_more(),
         }

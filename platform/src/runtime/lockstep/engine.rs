@@ -183,6 +183,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             Event::FramePanicked(blame) => self.publish_task.panicked(blame, at),
             Event::Job(job) => {
                 if let Some((_, displaced)) = self.waiting_job.replace((at, job)) {
+                    self.publish_task.report(Faults::HANDOVER_DROPPED);
                     self.jobs.push(displaced);
                 }
             }
@@ -250,6 +251,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
     fn hand_over(&mut self, done: Micros) {
         self.agenda.add(done, Event::Announced(self.job.announcement()));
         let Some(mut next) = self.jobs.pop() else {
+            self.publish_task.report(Faults::HANDOVER_DROPPED);
             FrameTask::recycle(&mut self.job);
             return;
         };
