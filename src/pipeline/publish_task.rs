@@ -34,6 +34,8 @@ pub struct Workers {
     pub frame: Option<Stage>,
     /// Stage that the key-frame task is in; none while it waits for jobs.
     pub key_frame: Option<Stage>,
+    /// Stamp of the newest frame that the camera gave, whatever became of it.
+    pub captured: Option<Micros>,
 }
 
 /// The last answer, and the grid stage that moves it.
@@ -191,7 +193,7 @@ impl PublishTask {
     }
 
     fn fill(&mut self, due: &Due, workers: &Workers, output: &mut KeyFrameOutput) {
-        let blame = blame(due.cause, workers);
+        let blame = blame(due, workers);
         let (pose, tracking) = match &due.announcement {
             Some(announced) => (announced.world_from_camera, self.last.output.tracking),
             None => (self.foretold_pose(due.stamp), TrackingState::DeadReckoning),
@@ -270,11 +272,17 @@ const fn cause_faults(cause: Cause, blame: Blame) -> Faults {
     }
 }
 
-/// Whoever is at work when time is up; where nobody is, the hand-over to the last stage, or the camera.
-fn blame(cause: Cause, workers: &Workers) -> Blame {
-    match cause {
+/// Whoever is at work when time is up; where nobody is, the hand-over to the last stage. The camera is to blame where it gave
+/// no frame since the instant; a frame that it gave went astray on its way to *frame*.
+fn blame(due: &Due, workers: &Workers) -> Blame {
+    let is_captured = workers.captured.is_some_and(|captured| captured >= due.stamp);
+    match due.cause {
         Cause::GivenUp(blame) | Cause::Panicked(blame) => blame,
         Cause::Late => Blame::Stage(workers.key_frame.unwrap_or(Stage::Emit)),
-        Cause::Missing => workers.frame.map_or(Blame::Camera, Blame::Stage),
+        Cause::Missing => match workers.frame {
+            Some(stage) => Blame::Stage(stage),
+            None if is_captured => Blame::Stage(Stage::Frame),
+            None => Blame::Camera,
+        },
     }
 }

@@ -72,8 +72,13 @@ impl CameraThread {
         let (camera, shared) = (&mut self.camera, &self.shared);
         let fetched = guarded(|| {
             if is_started {
-                let skipped = camera.skip_before(shared.clock.now());
+                let now = shared.clock.now();
+                let skipped = camera.skip_before(now);
                 Counters::add(&shared.counters.dropped_frames, skipped);
+                if skipped > 0 {
+                    // They were captured, and this thread came too late for them.
+                    shared.captured.set(now);
+                }
             }
             camera.next_frame(buffer)
         });
@@ -91,6 +96,7 @@ impl CameraThread {
 
     fn hand_over(&mut self, buffer: Box<FrameBuffer>) {
         let is_wanted = buffer.key_frame_wanted;
+        self.shared.captured.set(buffer.stamp);
         let Some(displaced) = self.shared.frames.post(buffer) else {
             return;
         };

@@ -26,6 +26,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use freespace::health::Faults;
 use freespace::pipeline::{KeyFrameJob, Lesson};
 use freespace::port::FrameBuffer;
+use freespace::space::Micros;
 use freespace::stage::Progress;
 
 use super::allocation::allocations;
@@ -50,6 +51,8 @@ struct Shared {
     frame_progress: Progress,
     key_frame_progress: Progress,
     publisher_progress: Progress,
+    /// Stamp of the newest frame that the camera gave.
+    captured: Newest,
     /// A frame that was displaced was to become a key frame; the next one becomes it.
     key_frame_wanted: AtomicBool,
     /// A thread hangs: no answer can be waited for any more.
@@ -58,6 +61,28 @@ struct Shared {
     is_published: AtomicBool,
     restarts: Restarts,
     counters: Counters,
+}
+
+/// The newest stamp that one thread saw, for another to read.
+struct Newest(AtomicU64);
+
+impl Default for Newest {
+    fn default() -> Self {
+        Self(AtomicU64::new(Self::NONE))
+    }
+}
+
+impl Newest {
+    const NONE: u64 = u64::MAX;
+
+    fn set(&self, stamp: Micros) {
+        self.0.store(stamp.0, Ordering::Relaxed);
+    }
+
+    fn get(&self) -> Option<Micros> {
+        let stamp = self.0.load(Ordering::Relaxed);
+        (stamp != Self::NONE).then_some(Micros(stamp))
+    }
 }
 
 /// Counters that several threads add to.

@@ -157,6 +157,7 @@ impl PublisherThread {
             let workers = Workers {
                 frame: self.shared.frame_progress.place().stage(),
                 key_frame: self.shared.key_frame_progress.place().stage(),
+                captured: self.shared.captured.get(),
             };
             // One is kept for this: the last one is never lent.
             let Some(mut output) = self.outputs.pop() else {
