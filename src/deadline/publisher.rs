@@ -115,10 +115,7 @@ impl Publisher {
     /// next one is expected a period after it.
     pub fn announce(&mut self, announcement: Announcement) -> Verdict {
         if let (Some(period), Some(due)) = (self.period_micros, announcement.due) {
-            if self
-                .expected
-                .is_some_and(|expected| due.plus(period) <= expected)
-            {
+            if self.expected.is_some_and(|expected| due.plus(period) <= expected) {
                 self.late += 1;
                 return Verdict::Late;
             }

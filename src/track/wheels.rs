@@ -559,8 +559,14 @@ mod tests {
     #[test]
     fn a_wheel_that_sticks_or_slips_is_doubted_and_a_garbled_reading_is_not() {
         assert!(!doubt_of(|_, truth| truth));
-        assert!(doubt_of(|_, truth| truth.min(10.0)), "stuck from the first second on");
-        assert!(doubt_of(|_, truth| truth + (truth - 10.0).clamp(0.0, 6.0)), "spinning");
+        assert!(
+            doubt_of(|_, truth| truth.min(10.0)),
+            "stuck from the first second on"
+        );
+        assert!(
+            doubt_of(|_, truth| truth + (truth - 10.0).clamp(0.0, 6.0)),
+            "spinning"
+        );
         assert!(!doubt_of(|k, truth| if k == 50 { truth + 1.5 } else { truth }));
     }
 

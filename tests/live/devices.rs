@@ -1,6 +1,6 @@
 //! Drives on the clock of devices: a camera that stamps its frames as it captures them, and is silent now and then.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -10,13 +10,11 @@ use freespace::port::{CameraAnswer, CameraPort, Clock as _, FrameBuffer, SinkMis
 use freespace::space::Micros;
 use freespace::track::WheelReading;
 use freespace_platform::clock::MonotonicClock;
-use freespace_platform::runtime::{
-    FrameReport, KeyFrameReport, Observer, RunError, RunSummary, Setup, run_live,
-};
+use freespace_platform::runtime::{FrameReport, KeyFrameReport, Observer, RunError, RunSummary, Setup};
 use freespace_platform::statistics::Publication;
 
 use super::simulated::{self, Triangle};
-use super::{LastMessage, Log};
+use super::{LastMessage, Log, run};
 
 /// How long a camera waits for a frame before it says that none came.
 const PATIENCE_MICROS: u64 = 100_000;
@@ -112,7 +110,7 @@ pub(crate) fn on_devices(
 }
 
 fn drive(setup: Setup, log: &mut Log) -> RunSummary {
-    run_live(setup, &Arc::default(), log).unwrap()
+    run(setup, &Arc::default(), log).unwrap()
 }
 
 /// Counts the messages that left.
@@ -152,7 +150,7 @@ fn an_observer_that_stalls_holds_no_answer_back_while_the_camera_is_silent() {
     let mut observer = Stalled::default();
     let mut setup = on_devices(7.0, 300_000..7_000_000, |wheels| wheels);
     setup.devices.sinks.push(Box::new(observer.count.clone()));
-    run_live(setup, &Arc::default(), &mut observer).unwrap();
+    run(setup, &Arc::default(), &mut observer).unwrap();
     assert!(observer.left_meanwhile >= 8, "{} of 10", observer.left_meanwhile);
 }
 
@@ -207,11 +205,70 @@ fn a_hang_is_answered_until_it_is_noticed_and_the_last_word_leaves() {
     let last = LastMessage::default();
     let mut setup = on_devices(60.0, 0..0, |_| Box::new(HangingWheels { asked: 0 }));
     setup.devices.sinks.push(Box::new(last.clone()));
-    let error = run_live(setup, &Arc::default(), &mut log).unwrap_err();
+    let error = run(setup, &Arc::default(), &mut log).unwrap_err();
     assert!(matches!(error, RunError::Hung(_)), "{error}");
     let (_, faults) = last.0.lock().unwrap().unwrap();
     assert!(faults.contains(Faults::SHUTTING_DOWN));
     // Noticed after 5 s: an answer each half second, and none for instants to come.
     let count = log.publications.len();
     assert!((8..=40).contains(&count), "{count}");
+}
+
+/// Waits for ever, once it has given its first frames.
+struct HangingCamera(Box<dyn CameraPort + Send>, u32);
+
+impl CameraPort for HangingCamera {
+    fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
+        self.1 += 1;
+        while self.1 == 10 {
+            std::thread::sleep(Duration::from_secs(1));
+        }
+        self.0.next_frame(buffer)
+    }
+}
+
+#[test]
+fn a_camera_that_does_not_come_back_ends_the_drive() {
+    let mut setup = on_devices(60.0, 0..0, |wheels| wheels);
+    let (_, frames, _) = simulated::devices(60.0);
+    setup.devices.camera = Box::new(HangingCamera(frames, 0));
+    let error = run(setup, &Arc::default(), &mut Log::default()).unwrap_err();
+    assert!(matches!(error, RunError::Hung("camera")), "{error}");
+}
+
+#[test]
+fn a_network_that_does_not_come_back_ends_the_drive() {
+    let mut setup = on_devices(60.0, 0..0, |wheels| wheels);
+    setup.devices.segmenter = Box::new(Triangle::hanging_in(2));
+    let error = run(setup, &Arc::default(), &mut Log::default()).unwrap_err();
+    assert!(matches!(error, RunError::Hung("segmentation")), "{error}");
+}
+
+#[test]
+fn a_stop_ends_a_drive_that_sleeps_across_a_gap_of_the_recording() {
+    /// The second frame lies an hour after the first.
+    struct Gap(Box<dyn CameraPort + Send>);
+    impl CameraPort for Gap {
+        fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
+            let answer = self.0.next_frame(buffer);
+            if buffer.index > 0 {
+                buffer.stamp = buffer.stamp.plus(3_600_000_000);
+            }
+            answer
+        }
+    }
+    let (camera, frames, wheels) = simulated::devices(3.0);
+    let mut setup = simulated::setup(camera, Box::new(Gap(frames)), Some(wheels), Triangle::new(0..0));
+    setup.real_time.lock_memory = false;
+    let stop = Arc::<AtomicBool>::default();
+    let theirs = Arc::clone(&stop);
+    std::thread::spawn(move || {
+        std::thread::sleep(Duration::from_secs(1));
+        theirs.store(true, Ordering::Relaxed);
+    });
+    let last = LastMessage::default();
+    setup.devices.sinks.push(Box::new(last.clone()));
+    run(setup, &stop, &mut Log::default()).unwrap();
+    let (_, faults) = last.0.lock().unwrap().unwrap();
+    assert!(faults.contains(Faults::SHUTTING_DOWN));
 }

@@ -9,8 +9,8 @@ mod panics;
 #[path = "../simulated/mod.rs"]
 mod simulated;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use freespace::emit::CanFrame;
 use freespace::health::{Faults, QualityLevel};
@@ -19,7 +19,7 @@ use freespace::space::Micros;
 use freespace::track::WheelReading;
 use freespace_platform::runtime::allocation::CountingAllocator;
 use freespace_platform::runtime::{
-    Event, FrameReport, KeyFrameReport, Observer, RunSummary, Setup, Status, Trace, run_live,
+    Event, FrameReport, KeyFrameReport, Observer, RunError, RunSummary, Setup, Status, Trace, run_live,
 };
 use freespace_platform::statistics::Publication;
 use simulated::Triangle;
@@ -75,13 +75,24 @@ fn drive(setup: Setup, log: &mut Log) -> RunSummary {
     if let Some((_, theirs)) = &mut log.stop_after {
         *theirs = Arc::clone(&stop);
     }
-    run_live(setup, &stop, log).unwrap()
+    run(setup, &stop, log).unwrap()
+}
+
+/// Allocations are counted over the whole process: whoever counts them wants to be alone.
+static ALONE: RwLock<()> = RwLock::new(());
+
+/// A run beside others.
+fn run(setup: Setup, stop: &Arc<AtomicBool>, observer: &mut dyn Observer) -> Result<RunSummary, RunError> {
+    let _beside_others = ALONE.read().unwrap_or_else(PoisonError::into_inner);
+    run_live(setup, stop, observer)
 }
 
 #[test]
 fn a_live_drive_answers_every_key_frame_and_allocates_nothing() {
     let mut log = Log::default();
-    let summary = drive(setup(Triangle::new(0..0), |wheels| wheels), &mut log);
+    let _alone = ALONE.write().unwrap_or_else(PoisonError::into_inner);
+    let setup = setup(Triangle::new(0..0), |wheels| wheels);
+    let summary = run_live(setup, &Arc::default(), &mut log).unwrap();
     assert_eq!(summary.key_frames, KEY_FRAMES);
     assert_eq!(log.publications.len() as u64, KEY_FRAMES);
     assert_eq!((summary.allocations_after_start, summary.restarts), (0, 0));

@@ -8,10 +8,10 @@ use freespace::health::Faults;
 use freespace::pipeline::Cadence;
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer, SinkMiss, SinkPort};
 use freespace::space::Micros;
-use freespace_platform::runtime::{RunError, run_live};
+use freespace_platform::runtime::RunError;
 
 use super::simulated::{self, Triangle};
-use super::{KEY_FRAMES, LastMessage, Log, PanickingWheels, drive, setup};
+use super::{KEY_FRAMES, LastMessage, Log, PanickingWheels, drive, run, setup};
 
 fn panic() -> ! {
     std::panic::resume_unwind(Box::new("injected"))
@@ -52,9 +52,7 @@ fn a_sink_that_panics_once_is_said_and_survived() {
     let said: Vec<bool> = log
         .publications
         .iter()
-        .map(|publication| {
-            (publication.faults).contains(Faults::STAGE_PANICKED | Faults::CAN_SEND_FAILED)
-        })
+        .map(|publication| (publication.faults).contains(Faults::STAGE_PANICKED | Faults::CAN_SEND_FAILED))
         .collect();
     assert_eq!(said.iter().filter(|said| **said).count(), 1, "{said:?}");
     assert!(said[2], "{said:?}");
@@ -66,7 +64,7 @@ fn a_sink_that_always_panics_ends_the_drive_in_order() {
     let last = LastMessage::default();
     setup.devices.sinks.push(PanickingSink::boxed(u32::MAX - 1));
     setup.devices.sinks.push(Box::new(last.clone()));
-    let error = run_live(setup, &Arc::default(), &mut Log::default()).unwrap_err();
+    let error = run(setup, &Arc::default(), &mut Log::default()).unwrap_err();
     assert!(matches!(error, RunError::PanickedTooOften), "{error}");
     let (_, faults) = last.0.lock().unwrap().unwrap();
     assert!(faults.contains(Faults::SHUTTING_DOWN));
@@ -93,7 +91,7 @@ fn a_camera_that_always_panics_ends_the_drive_in_order() {
     setup.real_time.lock_memory = false;
     let last = LastMessage::default();
     setup.devices.sinks.push(Box::new(last.clone()));
-    let error = run_live(setup, &Arc::default(), &mut Log::default()).unwrap_err();
+    let error = run(setup, &Arc::default(), &mut Log::default()).unwrap_err();
     assert!(matches!(error, RunError::PanickedTooOften), "{error}");
     let (_, faults) = last.0.lock().unwrap().unwrap();
     assert!(faults.contains(Faults::SHUTTING_DOWN));

@@ -97,11 +97,7 @@ impl Observer for Watch {
     #[expect(clippy::cast_precision_loss, reason = "seconds")]
     fn trace(&mut self, trace: &Trace) {
         self.progress.interrupt();
-        terminal::tell(format_args!(
-            "{:.3} s: {}",
-            trace.at.0 as f64 * 1e-6,
-            trace.event
-        ));
+        terminal::tell(format_args!("{:.3} s: {}", trace.at.0 as f64 * 1e-6, trace.event));
     }
 
     fn status(&mut self, status: &Status) {

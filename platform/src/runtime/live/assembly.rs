@@ -99,6 +99,7 @@ impl Threads {
                 real_time,
             )
         })?;
+        let network_progress = network.progress();
         let (Some(job), Some(output)) = (jobs.pop(), outputs.pop()) else {
             unreachable!("there is one of each at least")
         };
@@ -158,6 +159,7 @@ impl Threads {
             },
             observer: ObserverThread {
                 shared: Arc::clone(shared),
+                network_progress,
                 reports,
                 publications,
                 seen,

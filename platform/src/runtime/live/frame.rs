@@ -60,6 +60,8 @@ impl FrameThread {
         let mut faults = FaultMeter::warm_after(WARM_FRAMES);
         while let Some(buffer) = self.shared.frames.wait() {
             faults.look(&self.shared.counters.page_faults);
+            // From here on it is watched: lessons and wheels may hang, too.
+            self.shared.frame_progress.enter(Stage::Frame);
             let is_wanted =
                 buffer.key_frame_wanted | self.shared.key_frame_wanted.swap(false, Ordering::Relaxed);
             let outcome = self.step(&buffer, is_wanted);

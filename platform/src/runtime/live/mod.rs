@@ -48,6 +48,7 @@ struct Shared {
     lessons: Mailbox<Lesson>,
     publisher_bell: Bell,
     observer_bell: Bell,
+    camera_progress: Progress,
     frame_progress: Progress,
     key_frame_progress: Progress,
     publisher_progress: Progress,

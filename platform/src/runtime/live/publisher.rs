@@ -165,13 +165,16 @@ impl PublisherThread {
             };
             let clock = &self.shared.clock;
             let now = clock.now();
+            self.shared.publisher_progress.enter(Stage::Emit);
             let fell_back = guarded(|| self.task.fall_back(until, now, &workers, &mut output, clock));
             match fell_back {
                 Ok(true) => {
                     self.send(&output);
+                    self.shared.publisher_progress.rest();
                     self.show(None, output);
                 }
                 Ok(false) => {
+                    self.shared.publisher_progress.rest();
                     self.outputs.push(output);
                     return;
                 }
@@ -209,9 +212,11 @@ impl PublisherThread {
         if let Some(mut output) = self.outputs.pop() {
             let clock = &self.shared.clock;
             let task = &mut self.task;
+            self.shared.publisher_progress.enter(Stage::Emit);
             if guarded(|| task.shut_down(clock.now(), &mut output, clock)).is_ok() {
                 self.send(&output);
             }
+            self.shared.publisher_progress.rest();
         }
         self.shared.is_published.store(true, Ordering::Release);
         self.shared.observer_bell.ring();
@@ -229,8 +234,7 @@ impl PublisherThread {
                 }
                 // A sink cannot be started anew, and this message is as good as it was: the next one says it.
                 Err(Panicked) => {
-                    self.task
-                        .report(Faults::CAN_SEND_FAILED | Faults::STAGE_PANICKED);
+                    self.task.report(Faults::CAN_SEND_FAILED | Faults::STAGE_PANICKED);
                     self.count_panic();
                 }
             }
