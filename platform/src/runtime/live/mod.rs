@@ -37,6 +37,8 @@ use super::rights::{self, Lack, RealTimeConfig, ThreadRole, lock_memory, thread_
 use super::{Observer, RunError, RunSummary, Setup, Start};
 use crate::clock::MonotonicClock;
 use assembly::Threads;
+#[cfg(test)]
+pub(in crate::runtime) use observe::LAST_WORD;
 
 /// What the threads share: hand-overs, progress and counters, none of it behind a lock.
 #[derive(Default)]
