@@ -14,6 +14,7 @@ mod trace;
 
 pub use live::{LiveRun, run_live};
 pub use lockstep::{FaultKind, FaultModel, Injection, Victim, run_in_lockstep, run_modelled};
+pub use restart::hush_real_time_panics;
 pub use network::{InlineNetwork, ThreadedNetwork};
 pub use trace::{Event, Trace};
 

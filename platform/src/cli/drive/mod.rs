@@ -119,6 +119,7 @@ pub(in crate::cli) fn run_live(
 ) -> Result<RunSummary, Failure> {
     let internal = |error: &dyn std::error::Error| Failure::Internal(miette::miette!("{error}"));
     stop_on_signals(stop).map_err(|error| internal(&error))?;
+    runtime::hush_real_time_panics();
     runtime::run_live(setup, stop, observer).map_err(|error| {
         if let RunError::Hung(_) = error {
             // The hanging thread would meet the libraries' destructors at an ordinary end.

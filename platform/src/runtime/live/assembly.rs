@@ -131,7 +131,7 @@ impl Threads {
                 teller: frame_teller,
             },
             key_frame: KeyFrameThread {
-                task: key_frame_task,
+                task: Some(key_frame_task),
                 config,
                 network,
                 shared: Arc::clone(shared),

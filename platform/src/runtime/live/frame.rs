@@ -96,6 +96,10 @@ impl FrameThread {
     }
 
     fn step(&mut self, buffer: &FrameBuffer, is_wanted: bool) -> Option<FrameOutcome> {
+        if self.shared.restarts.is_spent() {
+            // The drive ends, and a task that panicked may be half done.
+            return None;
+        }
         let lesson = self.shared.lessons.take();
         let stepped = guarded(|| {
             if let Some(lesson) = &lesson {
