@@ -41,6 +41,23 @@ fn it_has_the_two_rights_that_the_runtime_asks_for_and_no_other() {
 }
 
 #[test]
+fn what_it_runs_is_what_its_recipe_installs() {
+    let environment = all("Environment").join("\n");
+    for path in ["/etc/freespace/car.toml", "/usr/share/freespace/libonnxruntime.so"] {
+        assert!(environment.contains(path), "{path}");
+    }
+    for installed in [
+        "/usr/bin/freespace",
+        "/etc/freespace config/car.toml config/wheels_counters.dbc",
+        "/usr/share/freespace/libonnxruntime.so",
+        "/usr/share/freespace/models models/road.toml models/road.onnx",
+    ] {
+        assert!(UNIT.contains(installed), "{installed}");
+    }
+    assert_eq!(one("RestartPreventExitStatus"), "2");
+}
+
+#[test]
 fn its_limits_leave_room_for_the_default_priorities() {
     let limit: u8 = one("LimitRTPRIO").parse().unwrap();
     for role in ThreadRole::ALL {
