@@ -180,7 +180,7 @@ impl Faults {
     pub const IMAGE_FROZEN: Self = Self(1 << 2);
     /// Part of the image never changes while the car moves: dirt or an object on the lens.
     pub const IMAGE_BLOCKED: Self = Self(1 << 3);
-    /// No frame within the camera's time-out.
+    /// No frame was captured since the instant of the cadence that this message answers for.
     pub const CAMERA_SILENT: Self = Self(1 << 4);
     /// No wheel reading within the encoders' time-out.
     pub const WHEELS_SILENT: Self = Self(1 << 5);

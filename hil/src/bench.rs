@@ -31,6 +31,8 @@ pub(crate) struct Rig {
     /// Folder of the case's own files.
     pub(crate) folder: PathBuf,
     pub(crate) seed: u64,
+    /// The road's pictures, painted before.
+    pub(crate) tape: Option<PathBuf>,
     /// Whether the kernel is the rig's own: clocks may be stepped and modules unloaded.
     pub(crate) owns_kernel: bool,
 }
@@ -81,13 +83,9 @@ impl Rig {
     /// The road, with slips of the wheels at these seconds of the drive.
     pub(crate) fn road(&self, slips: &[Slip]) -> Result<Road, BenchError> {
         let (config, camera, odometer) = self.config()?;
-        Ok(Road::new(
-            self.seed,
-            &camera,
-            config.camera.frame_rate_hz,
-            &odometer,
-            slips,
-        ))
+        let mut road = Road::new(self.seed, &camera, config.camera.frame_rate_hz, &odometer, slips);
+        road.tape = self.tape.clone();
+        Ok(road)
     }
 
     /// A file of the case.

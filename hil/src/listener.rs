@@ -15,7 +15,10 @@ use socketcan::{
 };
 
 use crate::clock::now_micros;
+use crate::feed::spawn;
 
+/// Under the feeds alone.
+const PRIORITY: u8 = 59;
 const STATUS: u32 = 0x600;
 const TIMING: u32 = 0x601;
 /// Identifiers of the module: 0x600 to 0x63F.
@@ -65,9 +68,8 @@ impl Listener {
             frames: Arc::clone(&frames),
             is_over: Arc::clone(&is_over),
         };
-        let thread = std::thread::Builder::new()
-            .name("listener".to_owned())
-            .spawn(move || ear.run())?;
+        // Above the module: what it hears late would look as if it had been sent late.
+        let thread = spawn("listener", PRIORITY, move || ear.run())?;
         Ok(Self {
             frames,
             is_over,

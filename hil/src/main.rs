@@ -21,7 +21,7 @@ mod table;
 mod truth;
 mod wheel_frame;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -47,6 +47,16 @@ enum Command {
     Case {
         /// Name.
         name: String,
+        #[command(flatten)]
+        devices: DeviceArgs,
+    },
+    /// Paint the pictures of the road's first seconds into a file.
+    Paint {
+        /// The file.
+        file: PathBuf,
+        /// Seconds.
+        #[arg(long, default_value_t = 45.0)]
+        seconds: f64,
         #[command(flatten)]
         devices: DeviceArgs,
     },
@@ -81,6 +91,9 @@ struct DeviceArgs {
     /// Folder for the case's files; made where it is not.
     #[arg(long, default_value = "target/rig/out")]
     out: PathBuf,
+    /// Pictures of the road, painted by `paint`; painted while it drives without it.
+    #[arg(long, value_name = "FILE")]
+    road: Option<PathBuf>,
     /// Seed of the road.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -100,6 +113,7 @@ impl DeviceArgs {
             interface: self.can.clone(),
             folder: self.out.join(case),
             seed: self.seed,
+            tape: self.road.clone(),
             owns_kernel: self.own_kernel,
         }
     }
@@ -118,6 +132,11 @@ fn main() -> ExitCode {
         Command::GaugeRecord(args) => gauge::record(&args),
         Command::GaugePlay(args) => gauge::play(&args),
         Command::GaugeCheck(args) => gauge::check(&args),
+        Command::Paint {
+            file,
+            seconds,
+            devices,
+        } => paint(&devices.rig("paint"), seconds, &file),
         Command::Listen { interface } => listen(&interface),
     };
     if is_well {
@@ -141,6 +160,14 @@ fn run_case(name: &str, devices: &DeviceArgs) -> bool {
     // A row always has a JSON form.
     println!("{}", serde_json::to_string(&row).unwrap_or_default());
     row.verdict != case::Verdict::Failed
+}
+
+fn paint(rig: &Rig, seconds: f64, file: &Path) -> bool {
+    let painted = rig.road(&[]).and_then(|road| Ok(road.paint(seconds, file)?));
+    if let Err(error) = &painted {
+        eprintln!("{}: {error}", file.display());
+    }
+    painted.is_ok()
 }
 
 fn listen(interface: &str) -> bool {

@@ -3,6 +3,9 @@
 //! In: the configuration that the module runs with, and a seed. Out: picture `n` at `n / rate` seconds and reading `n`, both
 //! depending on their number alone. Pictures are rendered ahead on a thread of normal priority and wait in a short queue.
 
+use std::fs::File;
+use std::io::{Read as _, Write as _};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -22,6 +25,8 @@ pub(crate) struct Road {
     pub(crate) world: Arc<World>,
     pub(crate) camera: Camera,
     pub(crate) rate_hz: f64,
+    /// Its pictures, painted before the drive; painted while it goes on where there is no such file, or at its end.
+    pub(crate) tape: Option<PathBuf>,
     pub(crate) wheels: Arc<SimWheels>,
     pub(crate) wheel_period_micros: u64,
 }
@@ -48,6 +53,7 @@ impl Road {
             ..Encoders::default()
         };
         Self {
+            tape: None,
             world: Arc::new(World::new(&config, &Arc::new(Textures::new()))),
             camera: *camera,
             rate_hz,
@@ -93,13 +99,38 @@ impl Road {
         picture_micros(number, self.rate_hz) as f64 * 1e-6
     }
 
+    /// Paints the pictures of a drive into a file.
+    pub(crate) fn paint(&self, seconds: f64, path: &Path) -> std::io::Result<()> {
+        let mut camera = SimCamera::new(&self.camera, &Sensor::default());
+        let mut picture = RgbImage::new(self.camera.width, self.camera.height);
+        let mut bytes = Vec::new();
+        let unfinished = path.with_extension("unfinished");
+        let mut file = File::create(&unfinished)?;
+        let mut number = 0;
+        while self.picture_seconds(number) < seconds {
+            camera.render(&self.world, self.picture_seconds(number), &mut picture);
+            yuyv(picture.pixels(), &mut bytes);
+            file.write_all(&bytes)?;
+            number += 1;
+        }
+        std::fs::rename(unfinished, path)
+    }
+
     fn render(&self, send: &SyncSender<Vec<u8>>, given_back: &Receiver<Vec<u8>>) {
         let mut camera = SimCamera::new(&self.camera, &Sensor::default());
         let mut picture = RgbImage::new(self.camera.width, self.camera.height);
+        let mut tape = self.tape.as_ref().and_then(|path| File::open(path).ok());
         for number in 0.. {
-            camera.render(&self.world, self.picture_seconds(number), &mut picture);
             let mut bytes = given_back.try_recv().unwrap_or_default();
-            yuyv(picture.pixels(), &mut bytes);
+            bytes.resize(2 * self.camera.width * self.camera.height, 0);
+            if !tape
+                .as_mut()
+                .is_some_and(|tape| tape.read_exact(&mut bytes).is_ok())
+            {
+                tape = None;
+                camera.render(&self.world, self.picture_seconds(number), &mut picture);
+                yuyv(picture.pixels(), &mut bytes);
+            }
             if send.send(bytes).is_err() {
                 return;
             }

@@ -13,7 +13,7 @@ static ALLOCATOR: CountingAllocator = CountingAllocator;
 fn main() -> ExitCode {
     #[cfg(feature = "onnx")]
     freespace_platform::segmenter::onnx_runtime::forbid_telemetry();
-    // Where it is refused, `freespace doctor` and a live run tell it; nothing has been started that could depend on it.
+    // Where it is refused, whoever opens the network asks once more and tells it.
     let _ = rights::settle_allocator();
     let result = match Cli::parse().command {
         Command::Run(args) => cli::run_run(&args),

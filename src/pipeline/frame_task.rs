@@ -106,6 +106,8 @@ pub struct FrameTask {
     stage: FrameStage,
     tracker: Tracker,
     wheels: Option<WheelOdometer>,
+    /// A reading was taken since the last frame.
+    is_wheel_heard: bool,
     cadence: Cadence,
     next_key_frame: Option<Micros>,
     plane_in_camera: Plane,
@@ -123,6 +125,7 @@ impl FrameTask {
             stage: FrameStage::new(&config.camera),
             tracker: Tracker::new(&config.camera, &config.track),
             wheels: config.wheels.as_ref().map(|wheels| WheelOdometer::new(*wheels)),
+            is_wheel_heard: false,
             cadence: config.cadence,
             next_key_frame: None,
             plane_in_camera: config.camera.mount.plane_in_camera(),
@@ -152,10 +155,34 @@ impl FrameTask {
         task
     }
 
+    /// What is wrong with the wheels at a frame: they are silent, or they do tell, but of another time.
+    fn wheel_faults(&mut self, stamp: Micros, has_travel: bool) -> Faults {
+        let is_heard = core::mem::take(&mut self.is_wheel_heard);
+        match &self.wheels {
+            Some(wheels) if !has_travel => {
+                if is_heard && wheels.is_apart(stamp) {
+                    Faults::CLOCK_OFFSET
+                } else {
+                    Faults::WHEELS_SILENT
+                }
+            }
+            _ => Faults::NONE,
+        }
+    }
+
+    /// A wheel that the others contradict since the last key frame slips, is locked or stuck.
+    fn judge_wheels(&mut self, job: &mut KeyFrameJob) {
+        if self.wheels.as_mut().is_some_and(WheelOdometer::take_doubt) {
+            job.faults.insert(Faults::WHEELS_SLIP);
+        }
+    }
+
     /// Takes a wheel reading; readings up to a frame's stamp, and better a little beyond, come before the frame.
     pub fn wheel(&mut self, reading: WheelReading) {
         if let Some(odometer) = &mut self.wheels {
+            let newest = odometer.newest();
             odometer.push(reading);
+            self.is_wheel_heard |= odometer.newest() != newest;
         }
     }
 
@@ -207,14 +234,13 @@ impl FrameTask {
         if let Some(fault) = fault {
             job.faults.insert(fault.into());
         }
-        if self.wheels.is_some() && travel.is_none() {
-            job.faults.insert(Faults::WHEELS_SILENT);
-        }
+        job.faults |= self.wheel_faults(raw.stamp, travel.is_some());
         let due = self.due(raw.stamp);
         let is_key_frame = due.is_some() || key_frame_wanted;
         if is_key_frame {
             job.due = due;
             self.complete(raw, &estimate, job);
+            self.judge_wheels(job);
         }
         let end = clock.now();
         job.times = StageTimes::default();

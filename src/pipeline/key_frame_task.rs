@@ -171,7 +171,6 @@ impl KeyFrameTask {
         output.level = level;
         output.blame = suspect.map(|stage| self.blame(&watch.times, level, stage));
         output.times = watch.times;
-        self.last_pose = Some(world_from_camera);
         Ok(())
     }
 
@@ -207,7 +206,11 @@ impl KeyFrameTask {
             output.faults.insert(Faults::MAP_LATE);
             return false;
         }
+        let rejected = self.map.rejected_wheel_steps();
         self.map.insert(&job.batch);
+        if self.map.rejected_wheel_steps() > rejected {
+            output.faults.insert(Faults::WHEELS_SLIP);
+        }
         for _ in 0..BUNDLE_REFINEMENTS {
             if watch.is_over(Stage::Map) {
                 output.faults.insert(Faults::MAP_LATE);
@@ -302,6 +305,8 @@ impl KeyFrameTask {
                 self.reproject_last(world_from_camera);
             }
         }
+        // Here, for the probabilities are this key frame's from now on, even if it is given up later.
+        self.last_pose = Some(*world_from_camera);
         self.learn_colours();
         watch.end(Stage::Segmentation);
         answer.is_ok()

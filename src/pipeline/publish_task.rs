@@ -18,6 +18,15 @@ use crate::port::Clock;
 use crate::space::{Micros, Pose};
 use crate::stage::Stage;
 
+/// Faults of a message and its way out, not of the answer in it: an answer that is moved later does not say them again.
+const OF_THE_MESSAGE: Faults = Faults(
+    Faults::CAN_SEND_FAILED.0
+        | Faults::HANDOVER_DROPPED.0
+        | Faults::STAGE_PANICKED.0
+        | Faults::RIGHTS_LACKING.0
+        | Faults::DEADLINE_MISSED.0,
+);
+
 /// What the tasks are at, for the blame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Workers {
@@ -25,6 +34,8 @@ pub struct Workers {
     pub frame: Option<Stage>,
     /// Stage that the key-frame task is in; none while it waits for jobs.
     pub key_frame: Option<Stage>,
+    /// Stamp of the newest frame that the camera gave, whatever became of it.
+    pub captured: Option<Micros>,
 }
 
 /// The last answer, and the grid stage that moves it.
@@ -78,6 +89,11 @@ impl PublishTask {
         }
     }
 
+    /// Faults that every message says from now on, besides those of the start.
+    pub fn say_always(&mut self, faults: Faults) {
+        self.standing |= faults;
+    }
+
     /// Takes note of a key frame.
     pub fn announce(&mut self, announcement: Announcement) {
         self.publisher.announce(announcement);
@@ -101,6 +117,7 @@ impl PublishTask {
     pub fn keep(&mut self, output: &KeyFrameOutput) {
         if !self.last.is_known || output.stamp > self.last.output.stamp {
             self.last.output.copy_from(output);
+            self.last.output.faults.remove(OF_THE_MESSAGE);
             self.last.is_known = true;
             self.last.is_adopted = false;
         }
@@ -176,7 +193,7 @@ impl PublishTask {
     }
 
     fn fill(&mut self, due: &Due, workers: &Workers, output: &mut KeyFrameOutput) {
-        let blame = blame(due.cause, workers);
+        let blame = blame(due, workers);
         let (pose, tracking) = match &due.announcement {
             Some(announced) => (announced.world_from_camera, self.last.output.tracking),
             None => (self.foretold_pose(due.stamp), TrackingState::DeadReckoning),
@@ -255,11 +272,17 @@ const fn cause_faults(cause: Cause, blame: Blame) -> Faults {
     }
 }
 
-/// Whoever is at work when time is up; where nobody is, the hand-over to the last stage, or the camera.
-fn blame(cause: Cause, workers: &Workers) -> Blame {
-    match cause {
+/// Whoever is at work when time is up; where nobody is, the hand-over to the last stage. The camera is to blame where it gave
+/// no frame since the instant; a frame that it gave went astray on its way to *frame*.
+fn blame(due: &Due, workers: &Workers) -> Blame {
+    let is_captured = workers.captured.is_some_and(|captured| captured >= due.stamp);
+    match due.cause {
         Cause::GivenUp(blame) | Cause::Panicked(blame) => blame,
         Cause::Late => Blame::Stage(workers.key_frame.unwrap_or(Stage::Emit)),
-        Cause::Missing => workers.frame.map_or(Blame::Camera, Blame::Stage),
+        Cause::Missing => match workers.frame {
+            Some(stage) => Blame::Stage(stage),
+            None if is_captured => Blame::Stage(Stage::Frame),
+            None => Blame::Camera,
+        },
     }
 }

@@ -33,6 +33,9 @@ const AGREEMENT_S: f64 = 0.5;
 /// Travel over this long tells the speed for extrapolation: at 50 Hz one interval alone would be a few counts.
 const SPEED_WINDOW_MICROS: u64 = 100_000;
 
+/// Share of readings at odds that is more than chance.
+const DOUBTFUL_SHARE: f64 = 0.25;
+
 const REAR_LEFT: usize = 2;
 const REAR_RIGHT: usize = 3;
 
@@ -107,6 +110,9 @@ pub struct WheelOdometer {
     history: Deque<(Micros, Travel), WHEEL_HISTORY>,
     rejected: u64,
     wheel_faults: u64,
+    /// Readings since the doubt was last taken, and those of them that left a wheel out.
+    readings: u32,
+    doubtful: u32,
 }
 
 impl WheelOdometer {
@@ -126,6 +132,8 @@ impl WheelOdometer {
             history: Deque::new(),
             rejected: 0,
             wheel_faults: 0,
+            readings: 0,
+            doubtful: 0,
         }
     }
 
@@ -139,6 +147,23 @@ impl WheelOdometer {
     #[must_use]
     pub const fn wheel_faults(&self) -> u64 {
         self.wheel_faults
+    }
+
+    /// Whether one wheel was at odds with the others in more than a share of the readings since the last call: it slips, is
+    /// locked, or its encoder is stuck. A single garbled reading is none of these.
+    pub fn take_doubt(&mut self) -> bool {
+        let is_doubtful = f64::from(self.doubtful) > DOUBTFUL_SHARE * f64::from(self.readings);
+        (self.readings, self.doubtful) = (0, 0);
+        is_doubtful
+    }
+
+    /// Whether all that is known lies further from a stamp than the time-out: the stamps come from clocks that disagree.
+    #[must_use]
+    pub fn is_apart(&self, stamp: Micros) -> bool {
+        let timeout = self.config.timeout_micros;
+        let (oldest, newest) = (self.history.front(), self.history.back());
+        oldest.is_some_and(|(oldest, _)| oldest.since(stamp) > timeout)
+            || newest.is_some_and(|(newest, _)| stamp.since(*newest) > timeout)
     }
 
     /// Stamp of the newest reading taken.
@@ -274,6 +299,8 @@ impl WheelOdometer {
                 && agrees(self.recent_m[wheel], median_recent_m, noise_recent_m);
             self.wheel_faults += u64::from(!sound[wheel]);
         }
+        self.readings = self.readings.saturating_add(1);
+        self.doubtful = self.doubtful.saturating_add(u32::from(sound.contains(&false)));
         self.add(&increments_m, &sound, median_m);
         true
     }
@@ -517,5 +544,46 @@ mod tests {
         assert!((soon.distance_m - 1.1).abs() < 1e-9);
         assert_eq!(odometer.travel_at(Micros(220_001)), None);
         assert_eq!(odometer.travel_at(Micros(9_999)), None);
+    }
+
+    /// Two seconds at 50 Hz and 10 m/s; `rolled` says what the rear left wheel's counter shows of the true travel.
+    fn doubt_of(rolled: impl Fn(u64, f64) -> f64) -> bool {
+        let mut odometer = WheelOdometer::new(config());
+        for k in 0..100 {
+            let truth = 0.2 * k as f64;
+            odometer.push(counts(k * 20_000, [truth, truth, rolled(k, truth), truth], 1));
+        }
+        odometer.take_doubt()
+    }
+
+    #[test]
+    fn a_wheel_that_sticks_or_slips_is_doubted_and_a_garbled_reading_is_not() {
+        assert!(!doubt_of(|_, truth| truth));
+        assert!(
+            doubt_of(|_, truth| truth.min(10.0)),
+            "stuck from the first second on"
+        );
+        assert!(
+            doubt_of(|_, truth| truth + (truth - 10.0).clamp(0.0, 6.0)),
+            "spinning"
+        );
+        assert!(!doubt_of(|k, truth| if k == 50 { truth + 1.5 } else { truth }));
+    }
+
+    #[test]
+    fn stamps_of_another_clock_are_apart() {
+        let mut odometer = WheelOdometer::new(config());
+        assert!(!odometer.is_apart(Micros(0)));
+        for k in 100..110 {
+            odometer.push(counts(k * 20_000, [0.0; 4], 1));
+        }
+        for (stamp, is_apart) in [
+            (1_700_000, true),
+            (1_900_000, false),
+            (2_300_000, false),
+            (2_400_000, true),
+        ] {
+            assert_eq!(odometer.is_apart(Micros(stamp)), is_apart, "{stamp}");
+        }
     }
 }

@@ -27,6 +27,7 @@ pub(crate) struct Triangle {
     shape: NetworkShape,
     runs: u32,
     failing: std::ops::Range<u32>,
+    hangs_in: Option<u32>,
     input: Vec<f32>,
     output: Vec<f32>,
 }
@@ -52,6 +53,16 @@ impl Triangle {
             shape,
             runs: 0,
             failing,
+            hangs_in: None,
+        }
+    }
+
+    /// Never comes back from this run.
+    #[allow(dead_code, reason = "each test binary uses its own share of this module")]
+    pub(crate) fn hanging_in(run: u32) -> Self {
+        Self {
+            hangs_in: Some(run),
+            ..Self::new(0..0)
         }
     }
 }
@@ -70,6 +81,9 @@ impl Segmenter for Triangle {
         fill: &mut dyn FnMut(&mut [f32]),
         read: &mut dyn FnMut(&[f32]),
     ) -> Result<(), SegmenterError> {
+        while self.hangs_in == Some(self.runs) {
+            std::thread::sleep(std::time::Duration::from_secs(1));
+        }
         self.runs += 1;
         if self.failing.contains(&(self.runs - 1)) {
             return Err(SegmenterError::Engine);

@@ -79,7 +79,7 @@ pub struct CanDecodeArgs {
     #[arg(long)]
     pub all: bool,
     /// How long to read an interface; until interrupted without it.
-    #[arg(long, value_name = "N", value_parser = seconds)]
+    #[arg(long, value_name = "N", value_parser = seconds, allow_negative_numbers = true)]
     pub seconds: Option<f64>,
     /// Print JSON, an object a line.
     #[arg(long)]
@@ -114,7 +114,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
     /// Ends after so many seconds; without it the drive goes on.
-    #[arg(long, value_name = "N", value_parser = seconds)]
+    #[arg(long, value_name = "N", value_parser = seconds, allow_negative_numbers = true)]
     pub seconds: Option<f64>,
     /// Folder for pictures, grids and report; new, empty, or of an earlier run, which is replaced.
     #[arg(long, value_name = "DIR")]
@@ -138,7 +138,7 @@ pub struct DoctorArgs {
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Length of the timer test in seconds; 0 leaves it out.
-    #[arg(long, default_value_t = 10.0, value_name = "N", value_parser = test_seconds)]
+    #[arg(long, default_value_t = 10.0, value_name = "N", value_parser = test_seconds, allow_negative_numbers = true)]
     pub jitter_seconds: f64,
     /// Print JSON in place of the table.
     #[arg(long)]
@@ -154,7 +154,7 @@ Examples:
   freespace demo --seed 3 --pace fast --out out/demo3")]
 pub struct DemoArgs {
     /// Length of the drive in seconds.
-    #[arg(long, default_value_t = 30.0, value_name = "N", value_parser = seconds)]
+    #[arg(long, default_value_t = 30.0, value_name = "N", value_parser = seconds, allow_negative_numbers = true)]
     pub seconds: f64,
     /// Seed of the road and everything on it.
     #[arg(long, default_value_t = 1, value_name = "S")]

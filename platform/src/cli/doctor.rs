@@ -8,6 +8,7 @@ use std::time::Duration;
 use freespace::frame::{Camera, Lens};
 use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer};
+use freespace::segmentation::InputFiller;
 use freespace::space::Micros;
 use freespace::stage::Stage;
 use serde::Serialize;
@@ -20,6 +21,7 @@ use crate::config::{Config, ImageSize, Wheels};
 use crate::doctor::{self, Check, Jitter, NetworkTiming, State, System};
 use crate::runtime::memory::MemoryPlan;
 use crate::runtime::{Devices, LiveRun, Setup};
+use crate::segmenter::Segmenter;
 
 /// All that was found.
 #[derive(Serialize)]
@@ -69,8 +71,8 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
     let network_check = match &mut network {
         Ok(network) => {
             let slice = slices.end(Stage::Segmentation, Micros(0), Micros(0)).0;
-            doctor::network(&mut *network.segmenter, config.network.tiles, slice, &real_time)
-                .map_err(no_thread)?
+            let runs = runs_of_a_key_frame(&*network.segmenter, config, &pipeline.camera);
+            doctor::network(&mut *network.segmenter, runs, slice, &real_time).map_err(no_thread)?
         }
         Err(failure) => {
             let fix = "give a manifest whose model is there, in [network]; run scripts/fetch-onnxruntime.sh";
@@ -135,6 +137,14 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
         network: timing,
         jitter,
     })
+}
+
+/// How often the network runs for a key frame: once a tile, the far one among them.
+fn runs_of_a_key_frame(segmenter: &dyn Segmenter, config: &Config, camera: &Camera) -> usize {
+    let tiles = drive::tiles(config, camera);
+    InputFiller::new(segmenter.shape(), camera.width, camera.height, &tiles)
+        .tiles()
+        .len()
 }
 
 /// A run without devices.

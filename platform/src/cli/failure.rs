@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use miette::{Diagnostic, MietteHandlerOpts, Report};
 
+use super::terminal;
 use crate::bad_input::BadInput;
 use crate::sink::recording::RecordingError;
 
@@ -71,7 +72,7 @@ pub fn finish(result: Result<(), Failure>) -> ExitCode {
         Err(Failure::BadInput(report)) => (report, 2),
         Err(Failure::Internal(report)) => (report, 1),
     };
-    eprintln!("{report:?}");
+    terminal::tell(format_args!("{report:?}"));
     ExitCode::from(code)
 }
 

@@ -16,6 +16,7 @@ mod replay;
 mod run;
 mod service;
 mod table;
+mod terminal;
 
 pub use args::{
     Ablation, CanCommand, CanDecodeArgs, CanLoadArgs, Cli, Command, DemoArgs, DoctorArgs, EvalCommand, Pace,

@@ -10,7 +10,7 @@ use freespace::port::{SinkPort, WheelPort};
 use freespace::track::WheelConfig;
 
 use super::drive::{self, Progress, Recorded, Recorder, Watch};
-use super::{Failure, RunArgs, table};
+use super::{Failure, RunArgs, table, terminal};
 use crate::bad_input::BadInput;
 use crate::camera::v4l2::{CameraEvents, V4l2Camera};
 use crate::can::{self, CanDevices, CanListener, CanPlan};
@@ -33,7 +33,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let mut frames = V4l2Camera::open(device, size, config.camera.frame_rate_hz).map_err(BadInput::from)?;
     let mut watch = Watch::new(Progress::new(None));
     if let Some(mode) = frames.mode() {
-        eprintln!("{}: {mode}", device.path.display());
+        terminal::tell(format_args!("{}: {mode}", device.path.display()));
     }
     if let Some(events) = frames.take_events() {
         watch.listen(Box::new(camera_lines(events)));
@@ -102,7 +102,10 @@ fn open_bus(config: &Config, watch: &mut Watch) -> Result<Bus, Failure> {
         return Ok(Bus::default());
     };
     if let Some(out) = &plan.out {
-        eprintln!("{}: {out}", out.interface.as_deref().unwrap_or_default());
+        terminal::tell(format_args!(
+            "{}: {out}",
+            out.interface.as_deref().unwrap_or_default()
+        ));
     }
     let CanDevices {
         wheels,

@@ -1,5 +1,7 @@
 //! What the world outside is told of a live run: at start on standard error, while it runs through the service manager.
 
+use super::terminal;
+use crate::runtime::rights::Lack;
 use crate::runtime::supervision::{Notifier, Watchdog};
 use crate::runtime::{Start, Status};
 use crate::statistics::DriveStatistics;
@@ -19,7 +21,9 @@ impl Service {
     pub(super) fn from_environment() -> Self {
         let notifier = Notifier::from_environment();
         if let Err(error) = &notifier {
-            eprintln!("the service manager of NOTIFY_SOCKET cannot be reached: {error}");
+            terminal::tell(format_args!(
+                "the service manager of NOTIFY_SOCKET cannot be reached: {error}"
+            ));
         }
         Self {
             notifier: notifier.ok(),
@@ -31,10 +35,10 @@ impl Service {
 
     /// Tells what is lacking, and what memory is held.
     pub(super) fn started(&self, start: &Start<'_>) {
-        for lack in start.lacks {
-            eprintln!("lacking: {lack}; {}", lack.fix());
+        for line in lacking(start.lacks) {
+            terminal::tell(format_args!("{line}"));
         }
-        eprint!("memory held from now on\n{}", start.plan);
+        terminal::tell_over(format_args!("memory held from now on\n{}", start.plan));
     }
 
     /// Ready with the first answer; the watchdog is fed with fresh ones only.
@@ -55,6 +59,19 @@ impl Service {
             ));
         }
     }
+}
+
+/// What is lacking, a line for each fix.
+fn lacking(lacks: &[Lack]) -> Vec<String> {
+    let mut by_fix: Vec<(&str, Vec<String>)> = Vec::new();
+    for lack in lacks {
+        match by_fix.iter_mut().find(|(fix, _)| *fix == lack.fix()) {
+            Some((_, of_this_fix)) => of_this_fix.push(lack.to_string()),
+            None => by_fix.push((lack.fix(), vec![lack.to_string()])),
+        }
+    }
+    let line = |(fix, lacks): (&str, Vec<String>)| format!("lacking: {}; {fix}", lacks.join("; "));
+    by_fix.into_iter().map(line).collect()
 }
 
 impl Drop for Service {

@@ -2,16 +2,18 @@
 
 use std::path::Path;
 
+use super::terminal;
 use crate::sink::recording::Report;
 
 /// Prints a report to standard output: a short table, or the JSON of `report.json`.
 pub(super) fn print(report: &Report, engine: &str, out: Option<&Path>, as_json: bool) {
     if as_json {
         // A report always has a JSON form.
-        println!("{}", serde_json::to_string_pretty(report).unwrap_or_default());
+        let json = serde_json::to_string_pretty(report).unwrap_or_default();
+        terminal::show(format_args!("{json}"));
         return;
     }
-    let line = |name: &str, value: String| println!("{name:<22}{value}");
+    let line = |name: &str, value: String| terminal::show(format_args!("{name:<22}{value}"));
     let met = report.key_frames - report.deadline_misses;
     line("deadlines met", format!("{met} of {}", report.key_frames));
     if let Some(latency) = report.capture_to_publish_ms {

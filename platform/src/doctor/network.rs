@@ -19,7 +19,7 @@ pub struct NetworkTiming {
 /// Runs timed; the first ones are the warm-up's.
 const RUNS: usize = 30;
 
-/// Runs the network as a live run does, on a thread of its role, for all tiles of a key frame; `slice_micros` is what it has.
+/// Runs the network as a live run does, on a thread of its role, `tiles` times for a key frame; `slice_micros` is what it has.
 ///
 /// # Errors
 /// The thread could not be started.

@@ -15,6 +15,7 @@ mod trace;
 pub use live::{LiveRun, run_live};
 pub use lockstep::{FaultKind, FaultModel, Injection, Victim, run_in_lockstep, run_modelled};
 pub use network::{InlineNetwork, ThreadedNetwork};
+pub use restart::hush_real_time_panics;
 pub use trace::{Event, Trace};
 
 use freespace::pipeline::{FrameOutcome, KeyFrameJob, KeyFrameOutput, PipelineConfig};

@@ -12,6 +12,7 @@ use freespace::pipeline::PipelineConfig;
 use freespace::port::{NetworkMiss, RoadNetwork};
 use freespace::segmentation::{InputFiller, OutputResampler, RoadProbability, TileConfig};
 use freespace::space::Micros;
+use freespace::stage::{Progress, Stage, StageProbe as _};
 
 use super::RunError;
 use super::allocation::outside_scopes;
@@ -104,6 +105,7 @@ struct Task {
 pub struct ThreadedNetwork {
     idle: Option<Box<Task>>,
     shared: Arc<Shared>,
+    progress: Arc<Progress>,
     stopper: Option<Arc<dyn Stop>>,
     clock: MonotonicClock,
     is_begun: bool,
@@ -133,12 +135,16 @@ impl ThreadedNetwork {
         let shared = Arc::new(Shared::default());
         let mut network = TiledNetwork::new(segmenter, config, tiles);
         let theirs = Arc::clone(&shared);
+        let progress = Arc::<Progress>::default();
+        let watched = Arc::clone(&progress);
         let thread = rights::thread_builder(ThreadRole::Network, &real_time).spawn(move || {
             // What is refused was told when the rights were tried, before the start.
             let _ = rights::enter(ThreadRole::Network, &real_time);
             theirs.pictures.claim();
             while let Some(mut task) = theirs.pictures.wait() {
+                watched.enter(Stage::Segmentation);
                 task.answer = answer(&mut network, &mut task);
+                watched.rest();
                 // There is one task, so nothing can be displaced.
                 let _ = theirs.answers.post(task);
             }
@@ -153,10 +159,16 @@ impl ThreadedNetwork {
         Ok(Self {
             idle: Some(Box::new(task)),
             shared,
+            progress,
             stopper,
             clock,
             is_begun: false,
         })
+    }
+
+    /// Where its thread is, for whoever watches over threads that hang.
+    pub(super) fn progress(&self) -> Arc<Progress> {
+        Arc::clone(&self.progress)
     }
 
     /// Answers will be waited for by the calling thread.

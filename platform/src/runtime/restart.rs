@@ -8,6 +8,23 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use freespace::budget::RESTARTS;
 
+use super::rights::ThreadRole;
+
+/// Keeps the panics of real-time threads off standard error, whose lock and device they must not wait for; their events tell
+/// of them. Panics of other threads are printed as ever.
+pub fn hush_real_time_panics() {
+    let print = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let thread = std::thread::current();
+        let is_real_time = ThreadRole::REAL_TIME
+            .iter()
+            .any(|role| thread.name() == Some(role.name()));
+        if !is_real_time {
+            print(panic);
+        }
+    }));
+}
+
 /// Panics of a drive, counted over all threads.
 #[derive(Debug, Default)]
 pub(super) struct Restarts {

@@ -18,7 +18,7 @@ use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::segmentation::{Tile, TileConfig};
 use freespace::track::WheelConfig;
 
-use super::{Failure, Pace};
+use super::{Failure, Pace, terminal};
 use crate::bad_input::BadInput;
 use crate::config::Config;
 use crate::eval::grid::GridLayout;
@@ -70,6 +70,8 @@ pub(in crate::cli) fn open_network(config: &Config) -> Result<Network, Failure> 
     let manifest = Manifest::load(&config.network.manifest).map_err(Failure::bad_input)?;
     let real_time = config.real_time();
     let mut plan = MemoryPlan::new();
+    // Done first in `main`; once more, to hear whether it was refused.
+    let unsettled = rights::settle_allocator().err();
     let (opened, lacks) = rights::adopt_new_threads(ThreadRole::Network, &real_time, || {
         plan.measure_library("network", || {
             segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
@@ -79,7 +81,7 @@ pub(in crate::cli) fn open_network(config: &Config) -> Result<Network, Failure> 
         segmenter: opened.map_err(Failure::bad_input)?,
         real_time,
         plan,
-        lacks: lacks.into_iter().collect(),
+        lacks: unsettled.into_iter().chain(lacks).collect(),
     })
 }
 
@@ -117,10 +119,11 @@ pub(in crate::cli) fn run_live(
 ) -> Result<RunSummary, Failure> {
     let internal = |error: &dyn std::error::Error| Failure::Internal(miette::miette!("{error}"));
     stop_on_signals(stop).map_err(|error| internal(&error))?;
+    runtime::hush_real_time_panics();
     runtime::run_live(setup, stop, observer).map_err(|error| {
         if let RunError::Hung(_) = error {
             // The hanging thread would meet the libraries' destructors at an ordinary end.
-            eprintln!("freespace: {error}");
+            terminal::tell(format_args!("freespace: {error}"));
             end_at_once(HUNG);
         }
         internal(&error)

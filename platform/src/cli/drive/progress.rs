@@ -2,6 +2,7 @@
 
 use freespace::port::Clock as _;
 
+use crate::cli::terminal;
 use crate::clock::MonotonicClock;
 use crate::statistics::Publication;
 
@@ -48,18 +49,18 @@ impl Progress {
                 .frames
                 .map(|frames| format!(" of {frames}"))
                 .unwrap_or_default();
-            eprint!(
+            terminal::tell_over(format_args!(
                 "\rframe {:>5}{of}   key frames {}   misses {} ",
                 index + 1,
                 self.key_frames,
                 self.misses
-            );
+            ));
         }
     }
 
     pub(super) fn end(&self) {
         if self.is_shown {
-            eprint!("\r{:78}\r", "");
+            terminal::tell_over(format_args!("\r{:78}\r", ""));
         }
     }
 }

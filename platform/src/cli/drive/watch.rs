@@ -3,6 +3,7 @@
 use super::progress::Progress;
 use crate::cli::memory_watch::MemoryWatch;
 use crate::cli::service::Service;
+use crate::cli::terminal;
 use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, Start, Status, Trace};
 use crate::sink::recording::RunCounts;
 use crate::statistics::{DriveStatistics, Drops, Publication};
@@ -63,7 +64,7 @@ impl Watch {
         for events in &mut self.devices {
             while let Some(line) = events() {
                 self.progress.interrupt();
-                eprintln!("{line}");
+                terminal::tell(format_args!("{line}"));
             }
         }
     }
@@ -96,7 +97,7 @@ impl Observer for Watch {
     #[expect(clippy::cast_precision_loss, reason = "seconds")]
     fn trace(&mut self, trace: &Trace) {
         self.progress.interrupt();
-        eprintln!("{:.3} s: {}", trace.at.0 as f64 * 1e-6, trace.event);
+        terminal::tell(format_args!("{:.3} s: {}", trace.at.0 as f64 * 1e-6, trace.event));
     }
 
     fn status(&mut self, status: &Status) {

@@ -24,8 +24,8 @@ use super::publisher::{LENT, PublisherThread, SPARE};
 const FRAME_BUFFERS: usize = 4;
 /// Jobs: one being collected, its successor, one waiting, one being worked on, one with the publisher, two lent to the observer.
 const JOBS: usize = 7;
-/// Outputs: one being filled, one with the publisher, one for fallbacks, two lent to the observer.
-const OUTPUTS: usize = 6;
+/// Outputs: one being filled, one with the publisher, those for fallbacks, those lent to the observer.
+const OUTPUTS: usize = 2 + SPARE + LENT;
 /// Lessons: one being written, one waiting, one being learnt.
 const LESSONS: usize = 3;
 /// Frame reports that wait for the observer: 2 s at 60 frames a second.
@@ -99,6 +99,7 @@ impl Threads {
                 real_time,
             )
         })?;
+        let network_progress = network.progress();
         let (Some(job), Some(output)) = (jobs.pop(), outputs.pop()) else {
             unreachable!("there is one of each at least")
         };
@@ -130,7 +131,7 @@ impl Threads {
                 teller: frame_teller,
             },
             key_frame: KeyFrameThread {
-                task: key_frame_task,
+                task: Some(key_frame_task),
                 config,
                 network,
                 shared: Arc::clone(shared),
@@ -158,6 +159,7 @@ impl Threads {
             },
             observer: ObserverThread {
                 shared: Arc::clone(shared),
+                network_progress,
                 reports,
                 publications,
                 seen,
@@ -166,6 +168,11 @@ impl Threads {
             },
             real_time,
         })
+    }
+
+    /// Every message will say these faults too.
+    pub(super) fn say_always(&mut self, faults: Faults) {
+        self.publisher.task.say_always(faults);
     }
 
     /// Starts the threads, those first that others hand over to; each sets itself up for its role before it takes part.
@@ -181,27 +188,58 @@ impl Threads {
             observer,
             real_time,
         } = self;
+        let starter = Starter {
+            shared: Arc::clone(&observer.shared),
+            real_time,
+        };
         let handles = vec![
-            start(ThreadRole::Publisher, real_time, move || publisher.run())?,
-            start(ThreadRole::KeyFrame, real_time, move || key_frame.run())?,
-            start(ThreadRole::Frame, real_time, move || frame.run())?,
-            start(ThreadRole::Camera, real_time, move || camera.run())?,
+            starter.start(ThreadRole::Publisher, move || publisher.run())?,
+            starter.start(ThreadRole::KeyFrame, move || key_frame.run())?,
+            starter.start(ThreadRole::Frame, move || frame.run())?,
+            starter.start(ThreadRole::Camera, move || camera.run())?,
         ];
         Ok((handles, observer))
     }
 }
 
-fn start(
-    role: ThreadRole,
+struct Starter {
+    shared: Arc<Shared>,
     real_time: RealTimeConfig,
-    body: impl FnOnce() + Send + 'static,
-) -> Result<JoinHandle<()>, RunError> {
-    let thread = rights::thread_builder(role, &real_time).spawn(move || {
-        // What is refused was told when the rights were tried, before the start.
-        let _ = rights::enter(role, &real_time);
-        body();
-    });
-    thread.map_err(RunError::Thread)
+}
+
+impl Starter {
+    fn start(
+        &self,
+        role: ThreadRole,
+        body: impl FnOnce() + Send + 'static,
+    ) -> Result<JoinHandle<()>, RunError> {
+        let real_time = self.real_time;
+        let last_resort = LastResort {
+            role,
+            shared: Arc::clone(&self.shared),
+        };
+        let thread = rights::thread_builder(role, &real_time).spawn(move || {
+            let _last_resort = last_resort;
+            // What is refused was told when the rights were tried, before the start.
+            let _ = rights::enter(role, &real_time);
+            body();
+        });
+        thread.map_err(RunError::Thread)
+    }
+}
+
+/// A thread that panics outside its guarded steps takes the drive with it, so that no other thread waits for it for ever.
+struct LastResort {
+    role: ThreadRole,
+    shared: Arc<Shared>,
+}
+
+impl Drop for LastResort {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.shared.abandon(self.role == ThreadRole::Publisher);
+        }
+    }
 }
 
 fn filled<T>(count: usize, make: impl Fn() -> T) -> Vec<T> {

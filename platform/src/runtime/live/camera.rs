@@ -5,6 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use freespace::health::Blame;
 use freespace::port::{CameraAnswer, CameraPort, Clock as _, FrameBuffer};
+use freespace::space::Micros;
+use freespace::stage::{Stage, StageProbe as _};
 use rtrb::Consumer;
 
 use super::super::page_faults::FaultMeter;
@@ -14,6 +16,8 @@ use super::{Counters, Shared};
 
 /// Frames after which every buffer has been through.
 const WARM_FRAMES: u32 = 60;
+/// How often a long sleep is broken off to see whether the drive is to end.
+const LOOK_MICROS: u64 = 100_000;
 
 pub(super) struct CameraThread {
     pub(super) camera: Box<dyn CameraPort + Send>,
@@ -49,8 +53,9 @@ impl CameraThread {
                         self.shared.clock.start_at(buffer.stamp);
                         is_started = true;
                     }
-                    self.shared.clock.sleep_until(buffer.stamp);
-                    self.hand_over(buffer);
+                    if self.slept_until(buffer.stamp) {
+                        self.hand_over(buffer);
+                    }
                 }
             }
         }
@@ -58,7 +63,22 @@ impl CameraThread {
     }
 
     fn is_to_end(&self) -> bool {
-        self.stop.load(Ordering::Relaxed) || self.shared.restarts.is_spent()
+        self.stop.load(Ordering::Relaxed)
+            || self.shared.restarts.is_spent()
+            || self.shared.is_given_up.load(Ordering::Relaxed)
+    }
+
+    /// Sleeps until a stamp, however far a gap of the recording puts it off; false where the drive is to end first.
+    fn slept_until(&self, stamp: Micros) -> bool {
+        let clock = &self.shared.clock;
+        while stamp > clock.now().plus(LOOK_MICROS) {
+            if self.is_to_end() {
+                return false;
+            }
+            clock.sleep_until(clock.now().plus(LOOK_MICROS));
+        }
+        clock.sleep_until(stamp);
+        true
     }
 
     /// A free buffer: with four of them there always is one, for the frame task holds one, and one waits.
@@ -67,12 +87,23 @@ impl CameraThread {
     }
 
     fn next_frame(&mut self, buffer: &mut FrameBuffer, is_started: bool) -> CameraAnswer {
-        if is_started {
-            let skipped = self.camera.skip_before(self.shared.clock.now());
-            Counters::add(&self.shared.counters.dropped_frames, skipped);
-        }
-        let camera = &mut self.camera;
-        guarded(|| camera.next_frame(buffer)).unwrap_or_else(|_| {
+        let (camera, shared) = (&mut self.camera, &self.shared);
+        // The camera's time counts as that of the first stage, where nobody but the watch over hanging threads reads it.
+        shared.camera_progress.enter(Stage::Frame);
+        let fetched = guarded(|| {
+            if is_started {
+                let now = shared.clock.now();
+                let skipped = camera.skip_before(now);
+                Counters::add(&shared.counters.dropped_frames, skipped);
+                if skipped > 0 {
+                    // They were captured, and this thread came too late for them.
+                    shared.captured.set(now);
+                }
+            }
+            camera.next_frame(buffer)
+        });
+        shared.camera_progress.rest();
+        fetched.unwrap_or_else(|_| {
             let may = self.shared.restarts.may_restart();
             let event = if may {
                 Event::Panicked
@@ -86,6 +117,7 @@ impl CameraThread {
 
     fn hand_over(&mut self, buffer: Box<FrameBuffer>) {
         let is_wanted = buffer.key_frame_wanted;
+        self.shared.captured.set(buffer.stamp);
         let Some(displaced) = self.shared.frames.post(buffer) else {
             return;
         };

@@ -22,6 +22,8 @@ use super::{Counters, Shared};
 pub(super) enum FrameNews {
     /// A key frame was taken up.
     Announced(Announcement),
+    /// A key frame gave way to a newer one, or found no free job: its work is not done.
+    Dropped,
     /// The task panicked, and was started anew.
     Panicked(Blame),
     /// No frame will come any more.
@@ -58,7 +60,8 @@ impl FrameThread {
         let mut faults = FaultMeter::warm_after(WARM_FRAMES);
         while let Some(buffer) = self.shared.frames.wait() {
             faults.look(&self.shared.counters.page_faults);
-            self.learn();
+            // From here on it is watched: lessons and wheels may hang, too.
+            self.shared.frame_progress.enter(Stage::Frame);
             let is_wanted =
                 buffer.key_frame_wanted | self.shared.key_frame_wanted.swap(false, Ordering::Relaxed);
             let outcome = self.step(&buffer, is_wanted);
@@ -68,6 +71,10 @@ impl FrameThread {
             let _ = self.returned.push(buffer);
             let Some(outcome) = outcome else {
                 Counters::add(&self.shared.counters.dropped_frames, 1);
+                // A wish for a key frame outlives the frame that carried it.
+                self.shared
+                    .key_frame_wanted
+                    .fetch_or(is_wanted, Ordering::Relaxed);
                 continue;
             };
             Counters::add(&self.shared.counters.frames, 1);
@@ -88,16 +95,16 @@ impl FrameThread {
         self.shared.jobs.close();
     }
 
-    fn learn(&mut self) {
-        if let Some(lesson) = self.shared.lessons.take() {
-            self.task.learn(&lesson);
-            // There is room for every lesson.
-            let _ = self.learnt.push(lesson);
-        }
-    }
-
     fn step(&mut self, buffer: &FrameBuffer, is_wanted: bool) -> Option<FrameOutcome> {
+        if self.shared.restarts.is_spent() {
+            // The drive ends, and a task that panicked may be half done.
+            return None;
+        }
+        let lesson = self.shared.lessons.take();
         let stepped = guarded(|| {
+            if let Some(lesson) = &lesson {
+                self.task.learn(lesson);
+            }
             if let Some(wheels) = &mut self.wheels {
                 let until = buffer.stamp.plus(WHEEL_LOOKAHEAD_MICROS);
                 wheels.readings_until(until, &mut |reading| self.task.wheel(reading));
@@ -111,6 +118,10 @@ impl FrameThread {
                 &shared.frame_progress,
             )
         });
+        if let Some(lesson) = lesson {
+            // There is room for every lesson.
+            let _ = self.learnt.push(lesson);
+        }
         match stepped {
             Ok(Ok(outcome)) => Some(outcome),
             Ok(Err(error)) => {
@@ -150,6 +161,7 @@ impl FrameThread {
         let now = self.shared.clock.now();
         let Some(mut next) = self.jobs.pop().or_else(|| self.returned_jobs.pop().ok()) else {
             self.teller.tell(now, Event::NoFreeJob(sequence));
+            self.tell(FrameNews::Dropped);
             FrameTask::recycle(&mut self.job);
             return;
         };
@@ -158,6 +170,7 @@ impl FrameThread {
         if let Some(displaced) = self.shared.jobs.post(complete) {
             // The publisher's timer answers for it.
             self.teller.tell(now, Event::JobDisplaced(displaced.sequence));
+            self.tell(FrameNews::Dropped);
             self.jobs.push(displaced);
         }
     }

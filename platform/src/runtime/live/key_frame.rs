@@ -30,7 +30,8 @@ pub(super) enum KeyFrameNews {
 const WARM_KEY_FRAMES: u32 = 8;
 
 pub(super) struct KeyFrameThread {
-    pub(super) task: KeyFrameTask,
+    /// None while it is made anew, for there is no room for two.
+    pub(super) task: Option<KeyFrameTask>,
     pub(super) config: PipelineConfig,
     pub(super) network: ThreadedNetwork,
     pub(super) shared: Arc<Shared>,
@@ -96,7 +97,12 @@ impl KeyFrameThread {
         output: &mut KeyFrameOutput,
         lesson: &mut Lesson,
     ) -> Result<(), Blame> {
-        self.task.step(
+        let task = match &mut self.task {
+            Some(task) if !self.shared.restarts.is_spent() => task,
+            // The drive ends, and a task that panicked may be half done.
+            _ => return Err(Blame::Stage(Stage::Map)),
+        };
+        task.step(
             job,
             &mut self.network,
             &self.shared.clock,
@@ -112,8 +118,11 @@ impl KeyFrameThread {
         let now = self.shared.clock.now();
         if self.shared.restarts.may_restart() {
             self.teller.tell(now, Event::Panicked(blame));
-            // A new start: it may allocate.
-            self.task = outside_scopes(|| KeyFrameTask::new(&self.config, Pace::Real));
+            // A new start: it may allocate. The old one goes first.
+            outside_scopes(|| {
+                self.task = None;
+                self.task = Some(KeyFrameTask::new(&self.config, Pace::Real));
+            });
         } else {
             self.teller.tell(now, Event::PanickedTooOften(blame));
         }

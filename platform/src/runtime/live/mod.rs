@@ -26,6 +26,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use freespace::health::Faults;
 use freespace::pipeline::{KeyFrameJob, Lesson};
 use freespace::port::FrameBuffer;
+use freespace::space::Micros;
 use freespace::stage::Progress;
 
 use super::allocation::allocations;
@@ -36,6 +37,8 @@ use super::rights::{self, Lack, RealTimeConfig, ThreadRole, lock_memory, thread_
 use super::{Observer, RunError, RunSummary, Setup, Start};
 use crate::clock::MonotonicClock;
 use assembly::Threads;
+#[cfg(test)]
+pub(in crate::runtime) use observe::LAST_WORD;
 
 /// What the threads share: hand-overs, progress and counters, none of it behind a lock.
 #[derive(Default)]
@@ -47,9 +50,12 @@ struct Shared {
     lessons: Mailbox<Lesson>,
     publisher_bell: Bell,
     observer_bell: Bell,
+    camera_progress: Progress,
     frame_progress: Progress,
     key_frame_progress: Progress,
     publisher_progress: Progress,
+    /// Stamp of the newest frame that the camera gave.
+    captured: Newest,
     /// A frame that was displaced was to become a key frame; the next one becomes it.
     key_frame_wanted: AtomicBool,
     /// A thread hangs: no answer can be waited for any more.
@@ -58,6 +64,28 @@ struct Shared {
     is_published: AtomicBool,
     restarts: Restarts,
     counters: Counters,
+}
+
+/// The newest stamp that one thread saw, for another to read.
+struct Newest(AtomicU64);
+
+impl Default for Newest {
+    fn default() -> Self {
+        Self(AtomicU64::new(Self::NONE))
+    }
+}
+
+impl Newest {
+    const NONE: u64 = u64::MAX;
+
+    fn set(&self, stamp: Micros) {
+        self.0.store(stamp.0, Ordering::Relaxed);
+    }
+
+    fn get(&self) -> Option<Micros> {
+        let stamp = self.0.load(Ordering::Relaxed);
+        (stamp != Self::NONE).then_some(Micros(stamp))
+    }
 }
 
 /// Counters that several threads add to.
@@ -125,7 +153,7 @@ impl LiveRun {
     /// A thread could not be started, hung, or panicked too often.
     pub fn run(self, observer: &mut dyn Observer) -> Result<RunSummary, RunError> {
         let Self {
-            threads,
+            mut threads,
             shared,
             real_time,
             mut plan,
@@ -135,6 +163,7 @@ impl LiveRun {
             && let Err(lack) = lock_memory()
         {
             lacks.push(lack);
+            threads.say_always(Faults::RIGHTS_LACKING);
         }
         plan.complete();
         observer.started(&Start {
@@ -144,11 +173,12 @@ impl LiveRun {
         let allocations_before = allocations();
         let (handles, watching) = threads.start()?;
         watching.run(observer)?;
+        let mut is_whole = true;
         for handle in handles {
-            // Every step is guarded: a thread that panics all the same does so outside its work, at its very end.
-            let _ = handle.join();
+            is_whole &= handle.join().is_ok();
         }
-        if shared.restarts.is_spent() {
+        // Every step is guarded: a thread that dies all the same does so outside its work, and is no better than one too many.
+        if shared.restarts.is_spent() || !is_whole {
             return Err(RunError::PanickedTooOften);
         }
         Ok(shared.summary(allocations() - allocations_before))
@@ -184,6 +214,19 @@ fn rehearse(real_time: &RealTimeConfig) -> Result<Vec<Lack>, RunError> {
 }
 
 impl Shared {
+    /// A thread is gone: the others come to their end, and nobody waits for it. The publisher says the last word, unless it is
+    /// the one that is gone.
+    fn abandon(&self, is_publisher_gone: bool) {
+        self.is_given_up.store(true, Ordering::Relaxed);
+        self.frames.close();
+        self.jobs.close();
+        if is_publisher_gone {
+            self.is_published.store(true, Ordering::Release);
+        }
+        self.publisher_bell.ring();
+        self.observer_bell.ring();
+    }
+
     fn summary(&self, allocations_after_start: u64) -> RunSummary {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         RunSummary {

@@ -25,10 +25,12 @@ pub(super) struct Observation {
 /// How often the observer looks even where no bell rings.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// How long the publisher is given to say its last word.
-const LAST_WORD: Duration = Duration::from_secs(1);
+pub(in crate::runtime) const LAST_WORD: Duration = Duration::from_secs(1);
 
 pub(super) struct ObserverThread {
     pub(super) shared: Arc<Shared>,
+    /// Where the network's thread is.
+    pub(super) network_progress: Arc<Progress>,
     pub(super) reports: Consumer<FrameReport>,
     pub(super) publications: Consumer<Publication>,
     pub(super) seen: Consumer<Observation>,
@@ -41,9 +43,13 @@ impl ObserverThread {
     pub(super) fn run(mut self, observer: &mut dyn Observer) -> Result<(), RunError> {
         self.shared.observer_bell.claim();
         let shared = Arc::clone(&self.shared);
+        let network = Arc::clone(&self.network_progress);
         let mut hangs = [
+            Hang::of(&shared.camera_progress).blaming(Blame::Camera),
             Hang::of(&shared.frame_progress),
             Hang::of(&shared.key_frame_progress),
+            // Its key frames are answered without it, and count as fresh: no one else would notice.
+            Hang::of(&network),
             Hang::of(&shared.publisher_progress),
         ];
         loop {
@@ -113,6 +119,8 @@ impl ObserverThread {
 /// Notices a task that stays in one stage.
 struct Hang<'a> {
     progress: &'a Progress,
+    /// Whom to blame, where it is not the stage.
+    blame: Option<Blame>,
     place: Place,
     since: Instant,
 }
@@ -121,8 +129,16 @@ impl<'a> Hang<'a> {
     fn of(progress: &'a Progress) -> Self {
         Self {
             progress,
+            blame: None,
             place: progress.place(),
             since: Instant::now(),
+        }
+    }
+
+    fn blaming(self, blame: Blame) -> Self {
+        Self {
+            blame: Some(blame),
+            ..self
         }
     }
 
@@ -133,6 +149,7 @@ impl<'a> Hang<'a> {
             self.since = Instant::now();
         }
         let stage = place.stage()?;
-        (self.since.elapsed() > Duration::from_micros(HANG_MICROS)).then_some(Blame::Stage(stage))
+        let is_hanging = self.since.elapsed() > Duration::from_micros(HANG_MICROS);
+        is_hanging.then_some(self.blame.unwrap_or(Blame::Stage(stage)))
     }
 }

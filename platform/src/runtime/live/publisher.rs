@@ -27,8 +27,8 @@ use super::{Counters, Shared};
 
 /// Publications that the observer may hold at a time.
 pub(super) const LENT: usize = 2;
-/// Outputs kept here for fallbacks.
-pub(super) const SPARE: usize = 2;
+/// Outputs kept here for fallbacks: one more than can be lent, so that an observer that stalls never holds the last one.
+pub(super) const SPARE: usize = LENT + 1;
 
 /// Rounds after which every box has been through: an announcement, an answer and a return are a round each.
 const WARM_ROUNDS: u32 = 24;
@@ -63,31 +63,43 @@ impl PublisherThread {
             // A camera that never gives a frame is answered for from the start.
             self.task.expect_from(self.shared.clock.now());
         }
-        while !is_over {
+        loop {
             faults.look(&self.shared.counters.page_faults);
-            wait(&self.shared.clock, self.task.next_timer());
             self.take_back();
-            while let Ok(news) = self.frame_news.pop() {
-                self.hear_frame(&news);
-            }
+            self.hear_frames();
             while let Ok(news) = self.key_frame_news.pop() {
+                // A key frame is announced before its job is handed over: what was heard of it may lie behind this answer only.
+                self.hear_frames();
                 is_over |= self.hear_key_frame(news);
             }
             is_over |= self.shared.is_given_up.load(Ordering::Relaxed);
-            // No answer can come any more at the end: what is still awaited leaves now.
             let until = if is_over {
+                // No answer can come any more: what is still awaited leaves now, and nothing new is expected.
+                self.task.expect_no_more();
                 Micros(u64::MAX)
             } else {
                 self.shared.clock.now()
             };
             self.fall_back(until);
+            if is_over {
+                break;
+            }
+            // Only after a look: what was told before this thread claimed its bell rang for nobody.
+            wait(&self.shared.clock, self.task.next_timer());
         }
         self.shut_down();
+    }
+
+    fn hear_frames(&mut self) {
+        while let Ok(news) = self.frame_news.pop() {
+            self.hear_frame(&news);
+        }
     }
 
     fn hear_frame(&mut self, news: &FrameNews) {
         match news {
             FrameNews::Announced(announcement) => self.task.announce(*announcement),
+            FrameNews::Dropped => self.task.report(Faults::HANDOVER_DROPPED),
             FrameNews::Panicked(blame) => self.task.panicked(*blame, self.shared.clock.now()),
             FrameNews::Ended => self.task.expect_no_more(),
         }
@@ -115,7 +127,7 @@ impl PublisherThread {
             Ok(Verdict::Publish) => {
                 self.send(&output);
                 self.shared.publisher_progress.rest();
-                self.task.keep(&output);
+                self.keep(&output);
                 self.show(Some(job), output);
             }
             Ok(Verdict::Late) => {
@@ -123,7 +135,7 @@ impl PublisherThread {
                 let micros = clock.now().since(output.stamp);
                 self.teller
                     .tell(clock.now(), Event::AnsweredLate(sequence, micros));
-                self.task.keep(&output);
+                self.keep(&output);
                 self.free(Some(job), Some(output));
             }
             Err(Panicked) => {
@@ -133,25 +145,36 @@ impl PublisherThread {
         }
     }
 
+    fn keep(&mut self, output: &KeyFrameOutput) {
+        let task = &mut self.task;
+        if guarded(|| task.keep(output)).is_err() {
+            self.note_panic();
+        }
+    }
+
     fn fall_back(&mut self, until: Micros) {
         loop {
             let workers = Workers {
                 frame: self.shared.frame_progress.place().stage(),
                 key_frame: self.shared.key_frame_progress.place().stage(),
+                captured: self.shared.captured.get(),
             };
-            // One is kept for this: fewer are lent than there are.
+            // One is kept for this: the last one is never lent.
             let Some(mut output) = self.outputs.pop() else {
                 return;
             };
             let clock = &self.shared.clock;
             let now = clock.now();
+            self.shared.publisher_progress.enter(Stage::Emit);
             let fell_back = guarded(|| self.task.fall_back(until, now, &workers, &mut output, clock));
             match fell_back {
                 Ok(true) => {
                     self.send(&output);
+                    self.shared.publisher_progress.rest();
                     self.show(None, output);
                 }
                 Ok(false) => {
+                    self.shared.publisher_progress.rest();
                     self.outputs.push(output);
                     return;
                 }
@@ -165,22 +188,35 @@ impl PublisherThread {
 
     /// *emit* panicked: the next message is an invalid one.
     fn note_panic(&mut self) {
-        let blame = Blame::Stage(Stage::Emit);
-        let now = self.shared.clock.now();
         self.shared.publisher_progress.rest();
-        if self.shared.restarts.may_restart() {
-            self.teller.tell(now, Event::Panicked(blame));
-            self.task.panicked(blame, now);
-        } else {
-            self.teller.tell(now, Event::PanickedTooOften(blame));
+        if self.count_panic() {
+            let now = self.shared.clock.now();
+            self.task.panicked(Blame::Stage(Stage::Emit), now);
         }
+    }
+
+    /// Whether the drive survives it.
+    fn count_panic(&mut self) -> bool {
+        let blame = Blame::Stage(Stage::Emit);
+        let may_restart = self.shared.restarts.may_restart();
+        let event = if may_restart {
+            Event::Panicked
+        } else {
+            Event::PanickedTooOften
+        };
+        self.teller.tell(self.shared.clock.now(), event(blame));
+        may_restart
     }
 
     fn shut_down(&mut self) {
         if let Some(mut output) = self.outputs.pop() {
             let clock = &self.shared.clock;
-            self.task.shut_down(clock.now(), &mut output, clock);
-            self.send(&output);
+            let task = &mut self.task;
+            self.shared.publisher_progress.enter(Stage::Emit);
+            if guarded(|| task.shut_down(clock.now(), &mut output, clock)).is_ok() {
+                self.send(&output);
+            }
+            self.shared.publisher_progress.rest();
         }
         self.shared.is_published.store(true, Ordering::Release);
         self.shared.observer_bell.ring();
@@ -188,15 +224,24 @@ impl PublisherThread {
 
     fn send(&mut self, output: &KeyFrameOutput) {
         let message = &output.message[..output.message_len];
-        for sink in &mut self.sinks {
-            if sink.publish(message, &output.can_frames).is_err() {
-                self.task.report(Faults::CAN_SEND_FAILED);
-                self.teller.tell(self.shared.clock.now(), Event::SinkRefused);
+        for index in 0..self.sinks.len() {
+            let sink = &mut self.sinks[index];
+            match guarded(|| sink.publish(message, &output.can_frames)) {
+                Ok(Ok(())) => {}
+                Ok(Err(_)) => {
+                    self.task.report(Faults::CAN_SEND_FAILED);
+                    self.teller.tell(self.shared.clock.now(), Event::SinkRefused);
+                }
+                // A sink cannot be started anew, and this message is as good as it was: the next one says it.
+                Err(Panicked) => {
+                    self.task.report(Faults::CAN_SEND_FAILED | Faults::STAGE_PANICKED);
+                    self.count_panic();
+                }
             }
         }
     }
 
-    /// Counts a publication and lends it to the observer, if that holds few enough.
+    /// Counts a publication and lends it to the observer, if that holds few enough and another output is at hand.
     fn show(&mut self, job: Option<Box<KeyFrameJob>>, output: Box<KeyFrameOutput>) {
         let counters = &self.shared.counters;
         Counters::add(&counters.key_frames, 1);
@@ -205,7 +250,7 @@ impl PublisherThread {
         if self.publications.push(Publication::of(&output)).is_err() {
             Counters::add(&counters.unobserved, 1);
         }
-        if self.lent < LENT {
+        if self.lent < LENT && !self.outputs.is_empty() {
             match self.seen.push(Observation { job, output }) {
                 Ok(()) => {
                     self.lent += 1;

@@ -41,6 +41,8 @@ pub(super) struct Engine<'a, N, T> {
     frame_free: FreeAt,
     key_frame_free: FreeAt,
     publish_free: FreeAt,
+    /// Stamp of the newest frame.
+    captured: Option<Micros>,
     waiting_frame: Option<Box<FrameBuffer>>,
     waiting_job: Option<(Micros, Box<KeyFrameJob>)>,
     agenda: Agenda,
@@ -88,6 +90,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             frame_free: Some(Micros(0)),
             key_frame_free: Some(Micros(0)),
             publish_free: Some(Micros(0)),
+            captured: None,
             waiting_frame: None,
             waiting_job: None,
             agenda: Agenda::default(),
@@ -133,6 +136,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
 
     /// A frame arrives; gives back the one that it displaces.
     fn arrive(&mut self, buffer: Box<FrameBuffer>) -> Option<Box<FrameBuffer>> {
+        self.captured = Some(buffer.stamp);
         let displaced = self.waiting_frame.replace(buffer);
         if let (Some(older), Some(newer)) = (&displaced, &mut self.waiting_frame) {
             self.summary.dropped_frames += 1;
@@ -183,6 +187,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             Event::FramePanicked(blame) => self.publish_task.panicked(blame, at),
             Event::Job(job) => {
                 if let Some((_, displaced)) = self.waiting_job.replace((at, job)) {
+                    self.publish_task.report(Faults::HANDOVER_DROPPED);
                     self.jobs.push(displaced);
                 }
             }
@@ -250,6 +255,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
     fn hand_over(&mut self, done: Micros) {
         self.agenda.add(done, Event::Announced(self.job.announcement()));
         let Some(mut next) = self.jobs.pop() else {
+            self.publish_task.report(Faults::HANDOVER_DROPPED);
             FrameTask::recycle(&mut self.job);
             return;
         };
@@ -337,6 +343,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
         let workers = Workers {
             frame: self.at_work(self.frame_free, &self.frame_time, at),
             key_frame: self.at_work(self.key_frame_free, &self.key_frame_time, at),
+            captured: self.captured,
         };
         let Some(mut output) = self.outputs.pop() else {
             return;

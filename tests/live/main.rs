@@ -4,10 +4,13 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+mod devices;
+mod panics;
+#[path = "../simulated/mod.rs"]
 mod simulated;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use freespace::emit::CanFrame;
 use freespace::health::{Faults, QualityLevel};
@@ -16,7 +19,7 @@ use freespace::space::Micros;
 use freespace::track::WheelReading;
 use freespace_platform::runtime::allocation::CountingAllocator;
 use freespace_platform::runtime::{
-    Event, FrameReport, KeyFrameReport, Observer, RunSummary, Setup, Status, Trace, run_live,
+    Event, FrameReport, KeyFrameReport, Observer, RunError, RunSummary, Setup, Status, Trace, run_live,
 };
 use freespace_platform::statistics::Publication;
 use simulated::Triangle;
@@ -28,9 +31,9 @@ const SECONDS: f64 = 3.0;
 const KEY_FRAMES: u64 = 6;
 
 #[derive(Default)]
-struct Log {
-    publications: Vec<Publication>,
-    events: Vec<Event>,
+pub(crate) struct Log {
+    pub(crate) publications: Vec<Publication>,
+    pub(crate) events: Vec<Event>,
     stop_after: Option<(u64, Arc<AtomicBool>)>,
 }
 
@@ -72,22 +75,33 @@ fn drive(setup: Setup, log: &mut Log) -> RunSummary {
     if let Some((_, theirs)) = &mut log.stop_after {
         *theirs = Arc::clone(&stop);
     }
-    run_live(setup, &stop, log).unwrap()
+    run(setup, &stop, log).unwrap()
+}
+
+/// Allocations are counted over the whole process: whoever counts them wants to be alone.
+static ALONE: RwLock<()> = RwLock::new(());
+
+/// A run beside others.
+fn run(setup: Setup, stop: &Arc<AtomicBool>, observer: &mut dyn Observer) -> Result<RunSummary, RunError> {
+    let _beside_others = ALONE.read().unwrap_or_else(PoisonError::into_inner);
+    run_live(setup, stop, observer)
 }
 
 #[test]
 fn a_live_drive_answers_every_key_frame_and_allocates_nothing() {
     let mut log = Log::default();
-    let summary = drive(setup(Triangle::new(0..0), |wheels| wheels), &mut log);
+    let _alone = ALONE.write().unwrap_or_else(PoisonError::into_inner);
+    let setup = setup(Triangle::new(0..0), |wheels| wheels);
+    let summary = run_live(setup, &Arc::default(), &mut log).unwrap();
     assert_eq!(summary.key_frames, KEY_FRAMES);
     assert_eq!(log.publications.len() as u64, KEY_FRAMES);
     assert_eq!((summary.allocations_after_start, summary.restarts), (0, 0));
 }
 
 /// Panics once, when it is asked for the tenth time.
-struct PanickingWheels {
-    inner: Box<dyn WheelPort + Send>,
-    asked: u32,
+pub(crate) struct PanickingWheels {
+    pub(crate) inner: Box<dyn WheelPort + Send>,
+    pub(crate) asked: u32,
 }
 
 impl WheelPort for PanickingWheels {
@@ -159,7 +173,7 @@ fn a_sink_that_refuses_is_said_in_the_next_message() {
 
 /// Keeps the level and the faults of the last message.
 #[derive(Clone, Default)]
-struct LastMessage(Arc<std::sync::Mutex<Option<(QualityLevel, Faults)>>>);
+pub(crate) struct LastMessage(pub(crate) Arc<std::sync::Mutex<Option<(QualityLevel, Faults)>>>);
 
 impl SinkPort for LastMessage {
     fn publish(&mut self, message: &[u8], _frames: &[CanFrame]) -> Result<(), SinkMiss> {
