@@ -7,9 +7,11 @@
 pub mod can;
 mod crc;
 mod message;
+mod shared;
 
 pub use can::{BusLoad, CanEncoder, CanFrame};
 pub use message::{DecodeError, EncodeError, FreeSpaceMessage};
+pub use shared::{Element, FIELDS, Field, SHARED_BYTES, SHARED_VERSION, SharedError, SharedMessage};
 
 use crate::budget::SECTORS;
 use crate::grid::Grid;

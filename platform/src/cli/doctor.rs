@@ -102,7 +102,7 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
     checks.push(network);
     checks.push(doctor::camera(&system));
     checks.push(doctor::can(&system, doctor::bitrate_by_ip));
-    checks.push(doctor::shared_memory(&system));
+    checks.push(doctor::shared_memory(&system, &config.sharing()));
     let jitter = (jitter_seconds > 0.0)
         .then(|| {
             if std::io::stderr().is_terminal() {

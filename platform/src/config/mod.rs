@@ -7,11 +7,13 @@
 mod camera;
 mod document;
 mod runtime;
+mod shared_memory;
 mod stages;
 mod wheels;
 
 pub use camera::{CameraSection, LensModel, LensSection};
 pub use runtime::{PolicyName, RuntimeSection, ThreadSection};
+pub use shared_memory::{SharedMemorySection, Sharing};
 pub use wheels::{CanWheels, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection};
 
 use std::path::{Path, PathBuf};
@@ -52,6 +54,9 @@ pub struct Config {
     /// What the threads ask of the kernel.
     #[serde(default)]
     pub runtime: RuntimeSection,
+    /// Message for readers on this computer.
+    #[serde(default)]
+    pub shared_memory: SharedMemorySection,
     /// Keypoints and frame poses.
     #[serde(default)]
     pub track: TrackConfig,
@@ -242,6 +247,7 @@ impl Config {
             "ms",
         )?;
         self.runtime.check()?;
+        self.shared_memory.check()?;
         if let Some(size) = self.working_image {
             within("working_image.width", size.width as f64, 64.0..=1920.0, "pixels")?;
             within(

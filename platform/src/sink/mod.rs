@@ -1,3 +1,4 @@
 //! Sinks: where results go; one folder or file a technology.
 
 pub mod recording;
+pub mod shared_memory;
