@@ -231,7 +231,7 @@ fn known_keys(text: &str) -> BTreeSet<String> {
 fn schema_has_the_keys_that_the_program_knows() {
     let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
     let text = format!(
-        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n[shared_memory]\n",
+        "{}\n[working_image]\nwidth = 480\nheight = 360\n[runtime]\n[runtime.camera]\n[runtime.monitor]\n",
         shipped("kitti")
     );
     let cases = [
@@ -274,7 +274,7 @@ fn schema_has_the_keys_that_the_program_knows() {
 
 #[test]
 fn sharing_is_wanted_unless_it_is_said_and_its_name_is_one_that_readers_can_write() {
-    let with = |table: &str| parse(&format!("{}\n[shared_memory]\n{table}", shipped("demo")));
+    let with = |table: &str| parse(&format!("{}\n[shared_memory]\n{table}", shipped("camvid")));
     let default = SharingConfig::default();
     assert_eq!(with("").unwrap().sharing(), Sharing::Wanted(default.clone()));
     assert_eq!(with("enabled = false").unwrap().sharing(), Sharing::Off);
