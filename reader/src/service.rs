@@ -49,11 +49,13 @@ impl Debug for Payload {
 /// Where everything lies that is no memory itself: the lists of nodes, services and sockets.
 ///
 /// In `/dev/shm`, which a service manager that gives each unit a `/tmp` of its own leaves shared.
-pub const FOLDER: &[u8] = b"/dev/shm/freespace";
+pub const FOLDER: &str = "/dev/shm/freespace";
+/// Its part for the nodes.
+pub const NODES: &str = "/dev/shm/freespace/nodes";
 
 fn config() -> Config {
     let mut config = Config::default();
-    if let Ok(folder) = Path::new(FOLDER) {
+    if let Ok(folder) = Path::new(FOLDER.as_bytes()) {
         config.global.set_root_path(&folder);
     }
     config

@@ -78,7 +78,8 @@ pub struct FreeSpaceMessage<'a> {
     pub columns: usize,
     /// Edge of a cell.
     pub cell_m: f32,
-    occupancy: &'a [u8],
+    /// Occupancy of each cell as its bits, row-major; see [`FreeSpaceMessage::occupancy`].
+    pub(super) occupancy: &'a [u8],
     /// Reason of each cell, row-major.
     pub reason: &'a [u8],
     /// Age of each cell in 0.1 s, row-major.

@@ -250,8 +250,8 @@ impl SharedMessage {
         } else {
             MAX_CELLS
         };
-        for (cell, occupancy) in self.occupancy[..used].iter_mut().enumerate() {
-            *occupancy = message.occupancy(cell);
+        for (cell, bits) in self.occupancy[..used].iter_mut().zip(message.occupancy) {
+            *cell = bits.cast_signed();
         }
         self.reason[..used].copy_from_slice(&message.reason[..used]);
         self.age[..used].copy_from_slice(&message.age[..used]);

@@ -9,6 +9,7 @@
 //! too slow misses messages, and costs nothing. Source: iceoryx2 0.10.
 
 mod error;
+mod leftovers;
 mod thread;
 mod writer;
 

@@ -3,6 +3,8 @@
 //! It stays on the thread that opened it.
 
 use core::ptr;
+use std::path::Path;
+use std::time::Duration;
 
 use freespace::emit::FreeSpaceMessage;
 use freespace::port::SinkMiss;
@@ -14,10 +16,13 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::service::service_name::ServiceName;
 
-use super::{SharingConfig, SharingError};
+use super::{SharingConfig, SharingError, leftovers};
 
 /// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
 const SPARE_NODES: usize = 4;
+
+/// A node that has no monitor after this time never will: it takes milliseconds.
+const IN_THE_MAKING: Duration = Duration::from_secs(60);
 
 pub(super) struct Writer {
     publisher: Publisher<Ipc, Payload, ()>,
@@ -81,5 +86,6 @@ impl Writer {
     /// Clears away what readers that died left behind, without waiting for anything.
     pub(super) fn tidy(&self) {
         let _ = self.node.try_cleanup_dead_nodes();
+        leftovers::sweep(Path::new(service::NODES), IN_THE_MAKING);
     }
 }
