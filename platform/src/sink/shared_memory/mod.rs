@@ -86,6 +86,7 @@ struct Desk {
 /// Publishes to shared memory.
 pub struct SharedMemorySink {
     desk: Arc<Desk>,
+    #[expect(clippy::vec_box, reason = "a letter changes hands as its box")]
     at_hand: Vec<Box<Letter>>,
     returned: Consumer<Box<Letter>>,
     thread: Option<JoinHandle<()>>,
