@@ -2,7 +2,7 @@
 //!
 //! In: encoded messages, from the publisher's thread. Out: one [`SharedMessage`](freespace::emit::SharedMessage) a message, in
 //! the service that `freespace-reader` opens, and an event that wakes its readers. Invariant: [`SharedMemorySink::publish`]
-//! copies the bytes into one of [`LETTERS`] boxes made at the start and rings a bell; it meets no reader, allocates nothing
+//! copies the bytes into one of three boxes made at the start and rings a bell; it meets no reader, allocates nothing
 //! and waits for nobody. Everything that a reader can have a say in (a new one is connected, a dead one is cleared away) is
 //! done by the *sharing* thread, which the car does not wait for. Cost: one copy of the message on either side. When full: a
 //! message that the sharing thread has not taken yet is replaced by the next one, and that is a [`SinkMiss`]; a reader that is
