@@ -78,7 +78,8 @@ pub struct FreeSpaceMessage<'a> {
     pub columns: usize,
     /// Edge of a cell.
     pub cell_m: f32,
-    occupancy: &'a [u8],
+    /// Occupancy of each cell as its bits, row-major; see [`FreeSpaceMessage::occupancy`].
+    pub(super) occupancy: &'a [u8],
     /// Reason of each cell, row-major.
     pub reason: &'a [u8],
     /// Age of each cell in 0.1 s, row-major.
@@ -226,6 +227,26 @@ impl<'a> FreeSpaceMessage<'a> {
     /// # Errors
     /// See [`DecodeError`].
     pub fn decode(bytes: &'a [u8]) -> Result<Self, DecodeError> {
+        let (mut reader, body) = Self::begin(bytes)?;
+        let mut tail = Reader { bytes, at: body };
+        if tail.u32()? != crc32(&bytes[..body]) {
+            return Err(DecodeError::WrongChecksum);
+        }
+        Self::fields(&mut reader, body)
+    }
+
+    /// The same for a message that never left the process that encoded it: the check sum, which takes longer than all the rest,
+    /// is not computed again.
+    ///
+    /// # Errors
+    /// See [`DecodeError`].
+    pub fn decode_own(bytes: &'a [u8]) -> Result<Self, DecodeError> {
+        let (mut reader, body) = Self::begin(bytes)?;
+        Self::fields(&mut reader, body)
+    }
+
+    /// Reads what says how long the message is: the rest of it, and where its check sum stands.
+    fn begin(bytes: &'a [u8]) -> Result<(Reader<'a>, usize), DecodeError> {
         let mut r = Reader { bytes, at: 0 };
         if r.u32()? != MAGIC {
             return Err(DecodeError::WrongMagic);
@@ -239,15 +260,8 @@ impl<'a> FreeSpaceMessage<'a> {
         let length = r.u32()? as usize;
         let body = length.checked_sub(4).ok_or(DecodeError::WrongSize)?;
         let whole = bytes.get(..length).ok_or(DecodeError::TooShort)?;
-        let mut tail = Reader {
-            bytes: whole,
-            at: body,
-        };
-        if tail.u32()? != crc32(&whole[..body]) {
-            return Err(DecodeError::WrongChecksum);
-        }
         r.bytes = &whole[..body];
-        Self::fields(&mut r, body)
+        Ok((r, body))
     }
 
     fn fields(r: &mut Reader<'a>, body: usize) -> Result<Self, DecodeError> {

@@ -9,11 +9,13 @@ pub mod can;
 pub mod crc;
 pub mod grid_frames;
 mod message;
+mod shared;
 
 pub use bus_load::{BitRates, BusLoad, FdFrameBits, fd_frame_bits, frame_bits};
 pub use can::{CanEncoder, CanFrame};
 pub use grid_frames::{GridEncoder, GridReader};
 pub use message::{DecodeError, EncodeError, FreeSpaceMessage};
+pub use shared::{Element, FIELDS, Field, SHARED_BYTES, SHARED_VERSION, SharedError, SharedMessage};
 
 use crate::budget::SECTORS;
 use crate::grid::Grid;

@@ -52,6 +52,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         is_reproducible: args.pace == Pace::Fast,
     };
     let recording = Recording::create(&args.out, title)?;
+    let sinks = drive::sinks(&config, args.pace, &mut network)?;
     let world = (network.plan).measure("simulated road", || {
         Arc::new(World::new(&world_config, &Arc::new(Textures::new())))
     });
@@ -98,7 +99,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         wheels,
         segmenter: network.segmenter,
         tiles: drive::tiles(&config, &camera),
-        sinks: Vec::new(),
+        sinks,
     };
     let summary = drive::run(
         Setup {

@@ -114,7 +114,7 @@ fn examine(path: &Path, config: &Config, jitter_seconds: f64) -> Result<Findings
         doctor::bitrate_by_ip,
         doctor::can_stamps,
     ));
-    checks.push(doctor::shared_memory(&system));
+    checks.push(doctor::shared_memory(&system, &config.sharing()));
     let jitter = (jitter_seconds > 0.0)
         .then(|| {
             if std::io::stderr().is_terminal() {

@@ -101,7 +101,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         reference,
     } = open_inputs(args)?;
     let (wheels, odometer) = open_wheels(args, &config)?.unzip();
-    let network = drive::open_network(&config)?;
+    let mut network = drive::open_network(&config)?;
     config.crf.ablation = match args.ablate {
         None => crf::Ablation::Joint,
         Some(Ablation::Only2d) => crf::Ablation::TwoD,
@@ -114,6 +114,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         is_reproducible: args.pace == Pace::Fast,
     };
     let recording = Recording::create(&args.out, title)?;
+    let sinks = drive::sinks(&config, args.pace, &mut network)?;
     let engine = network.segmenter.name().to_owned();
     let names: BTreeMap<u64, String> = frames
         .listing()
@@ -126,7 +127,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         wheels,
         segmenter: network.segmenter,
         tiles: drive::tiles(&config, &camera),
-        sinks: Vec::new(),
+        sinks,
     };
     let summary = drive::run(
         Setup {

@@ -9,6 +9,7 @@ mod can;
 mod device;
 mod document;
 mod runtime;
+mod shared_memory;
 mod stages;
 mod wheels;
 
@@ -16,6 +17,7 @@ pub use camera::{CameraSection, LensModel, LensSection};
 pub use can::{CanOut, CanSection};
 pub use device::{ControlValue, DeviceFormat, DeviceSection};
 pub use runtime::{PolicyName, RuntimeSection, ThreadSection};
+pub use shared_memory::{SharedMemorySection, Sharing};
 pub use wheels::{
     CanWheels, ChecksumSection, DirectionSignals, FourSignals, WheelKind, WheelSource, Wheels, WheelsSection,
 };
@@ -62,6 +64,9 @@ pub struct Config {
     /// What the threads ask of the kernel.
     #[serde(default)]
     pub runtime: RuntimeSection,
+    /// Message for readers on this computer.
+    #[serde(default)]
+    pub shared_memory: SharedMemorySection,
     /// Keypoints and frame poses.
     #[serde(default)]
     pub track: TrackConfig,
@@ -257,6 +262,7 @@ impl Config {
             "ms",
         )?;
         self.runtime.check()?;
+        self.shared_memory.check()?;
         if let Some(size) = self.working_image {
             within("working_image.width", size.width as f64, 64.0..=1920.0, "pixels")?;
             within(

@@ -23,6 +23,8 @@ pub struct RuntimeSection {
     pub network: ThreadSection,
     /// Publisher.
     pub publisher: ThreadSection,
+    /// Thread that hands messages to the readers of shared memory.
+    pub sharing: ThreadSection,
     /// Monitor.
     pub monitor: ThreadSection,
 }
@@ -38,6 +40,7 @@ impl Default for RuntimeSection {
             key_frame: thread(),
             network: thread(),
             publisher: thread(),
+            sharing: thread(),
             monitor: thread(),
         }
     }
@@ -94,6 +97,7 @@ const fn keys(role: ThreadRole) -> Keys {
         ThreadRole::KeyFrame => keys!("key_frame"),
         ThreadRole::Network => keys!("network"),
         ThreadRole::Publisher => keys!("publisher"),
+        ThreadRole::Sharing => keys!("sharing"),
         ThreadRole::Monitor => keys!("monitor"),
     }
 }
@@ -107,6 +111,7 @@ impl RuntimeSection {
             ThreadRole::KeyFrame => &self.key_frame,
             ThreadRole::Network => &self.network,
             ThreadRole::Publisher => &self.publisher,
+            ThreadRole::Sharing => &self.sharing,
             ThreadRole::Monitor => &self.monitor,
         }
     }

@@ -9,6 +9,7 @@ use nalgebra::Vector2;
 
 use super::*;
 use crate::runtime::rights::{Cpus, Policy, RealTimeConfig, ThreadRole};
+use crate::sink::shared_memory::SharingConfig;
 
 const SHIPPED: [(&str, &str); 4] = [
     ("kitti", include_str!("../../../config/kitti.toml")),
@@ -297,6 +298,7 @@ fn schema_has_the_keys_that_the_program_knows() {
             "[runtime.monitor]\nzzz = 1",
             "[runtime.monitor]",
         ),
+        ("/shared_memory", "[shared_memory]\nzzz = 1", "[shared_memory]"),
         ("/working_image", "[working_image]\nzzz = 1", "[working_image]"),
     ];
     for (pointer, with, place) in cases {
@@ -309,6 +311,41 @@ fn schema_has_the_keys_that_the_program_knows() {
             .cloned()
             .collect();
         assert_eq!(described, known_keys(&text.replacen(place, with, 1)), "{place}");
+    }
+}
+
+#[test]
+fn sharing_is_wanted_unless_it_is_said_and_its_name_is_one_that_readers_can_write() {
+    let with = |table: &str| parse(&format!("{}\n[shared_memory]\n{table}", shipped("camvid")));
+    let default = SharingConfig::default();
+    assert_eq!(with("").unwrap().sharing(), Sharing::Wanted(default.clone()));
+    assert_eq!(with("enabled = false").unwrap().sharing(), Sharing::Off);
+    let rear = SharingConfig {
+        name: "freespace/grid/rear".to_owned(),
+        max_readers: 7,
+    };
+    let config = with("enabled = true\nname = \"freespace/grid/rear\"\nmax_readers = 7").unwrap();
+    assert_eq!(config.sharing(), Sharing::Required(rear));
+    for (text, message, fix) in [
+        (
+            "name = \"\"",
+            "`shared_memory.name` is \"\"",
+            "such as \"freespace/grid\"",
+        ),
+        (
+            "name = \"Rear grid\"",
+            "`shared_memory.name` is \"Rear grid\"",
+            "a to z",
+        ),
+        (
+            "max_readers = 0",
+            "`shared_memory.max_readers` is 0",
+            "between 1 and 32 readers",
+        ),
+    ] {
+        let error = with(text).unwrap_err();
+        assert!(error.message().contains(message), "{error}");
+        assert!(error.fix().contains(fix), "{error}");
     }
 }
 

@@ -3,6 +3,7 @@
 use std::process::Command;
 
 use super::{Check, System};
+use crate::config::Sharing;
 
 /// `ARPHRD_CAN` of linux/if_arp.h.
 pub(super) const CAN_DEVICE: i64 = 280;
@@ -124,9 +125,12 @@ pub fn camera(system: &System) -> Check {
 
 /// Room for shared memory that readers map.
 #[must_use]
-pub fn shared_memory(system: &System) -> Check {
+pub fn shared_memory(system: &System, sharing: &Sharing) -> Check {
     const NAME: &str = "shared memory";
-    const WANTED_MB: u64 = 64;
+    let wanted_mb = match sharing {
+        Sharing::Off => return Check::ok(NAME, "switched off"),
+        Sharing::Wanted(config) | Sharing::Required(config) => config.bytes().div_ceil(1_000_000),
+    };
     let Ok(room) = rustix::fs::statvfs(system.path("dev/shm").as_path()) else {
         return Check::warning(
             NAME,
@@ -135,13 +139,13 @@ pub fn shared_memory(system: &System) -> Check {
         );
     };
     let free_mb = room.f_bavail.saturating_mul(room.f_frsize) / 1_000_000;
-    let seen = format!("{free_mb} MB free in /dev/shm");
-    if free_mb >= WANTED_MB {
+    let seen = format!("{free_mb} MB free in /dev/shm, a run takes {wanted_mb} MB");
+    if free_mb >= wanted_mb {
         return Check::ok(NAME, seen);
     }
     Check::warning(
         NAME,
         seen,
-        "mount -o remount,size=64m /dev/shm (docker: --shm-size=64m)",
+        "mount -o remount,size=64m /dev/shm (docker: --shm-size=64m), or lower max_readers in [shared_memory]",
     )
 }

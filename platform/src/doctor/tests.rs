@@ -4,7 +4,9 @@ use std::fs;
 use std::path::Path;
 
 use super::*;
+use crate::config::Sharing;
 use crate::runtime::rights::{Cpus, RealTimeConfig, ThreadRole};
+use crate::sink::shared_memory::SharingConfig;
 
 /// A computer of these files.
 fn computer(files: &[(&str, &str)]) -> (tempfile::TempDir, System) {
@@ -177,5 +179,18 @@ fn a_camera_that_stamps_by_the_wrong_clock_is_told() {
     );
     let (_folder, none) = computer(&[]);
     assert_eq!(camera(&none).state, State::Warning);
-    assert_eq!(shared_memory(&none).state, State::Warning);
+    assert_eq!(shared_memory(&none, &sharing(1)).state, State::Warning);
+    let (_folder, room) = computer(&[("dev/shm/freespace", "")]);
+    assert_eq!(shared_memory(&room, &sharing(1)).state, State::Ok);
+    // More readers than any computer has room for.
+    let check = shared_memory(&room, &sharing(usize::MAX >> 24));
+    assert!(check.fix.unwrap().contains("max_readers"));
+    assert_eq!(shared_memory(&none, &Sharing::Off).state, State::Ok);
+}
+
+fn sharing(max_readers: usize) -> Sharing {
+    Sharing::Wanted(SharingConfig {
+        max_readers,
+        ..SharingConfig::default()
+    })
 }

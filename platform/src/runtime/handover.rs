@@ -42,7 +42,7 @@ pub(super) fn wait(clock: &MonotonicClock, until: Option<Micros>) {
 }
 
 /// Room for one box; the newest wins.
-pub(super) struct Mailbox<T> {
+pub(crate) struct Mailbox<T> {
     slot: AtomicCell<Option<Box<T>>>,
     bell: Bell,
     is_closed: AtomicBool,
@@ -61,7 +61,7 @@ impl<T> Default for Mailbox<T> {
 
 impl<T> Mailbox<T> {
     /// Puts a box in and wakes the owner; gives back the one that it displaced.
-    pub(super) fn post(&self, item: Box<T>) -> Option<Box<T>> {
+    pub(crate) fn post(&self, item: Box<T>) -> Option<Box<T>> {
         let displaced = self.slot.swap(Some(item));
         self.bell.ring();
         displaced
@@ -73,12 +73,12 @@ impl<T> Mailbox<T> {
     }
 
     /// The calling thread will wait here.
-    pub(super) fn claim(&self) {
+    pub(crate) fn claim(&self) {
         self.bell.claim();
     }
 
     /// Waits for the next box; none once the mailbox is closed and empty.
-    pub(super) fn wait(&self) -> Option<Box<T>> {
+    pub(crate) fn wait(&self) -> Option<Box<T>> {
         loop {
             if let Some(item) = self.take() {
                 return Some(item);
@@ -104,7 +104,7 @@ impl<T> Mailbox<T> {
     }
 
     /// Nothing will be posted any more.
-    pub(super) fn close(&self) {
+    pub(crate) fn close(&self) {
         self.is_closed.store(true, Ordering::Release);
         self.bell.ring();
     }

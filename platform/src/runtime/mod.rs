@@ -1,7 +1,7 @@
 //! Running the pipeline: live on threads with the deadline, or in lockstep for a reproducible result.
 
 pub mod allocation;
-mod handover;
+pub(crate) mod handover;
 mod live;
 mod lockstep;
 pub mod memory;

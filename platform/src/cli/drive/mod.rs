@@ -12,21 +12,24 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use freespace::emit::FreeSpaceMessage;
 use freespace::frame::Camera;
 use freespace::grid::GridConfig;
 use freespace::pipeline::{Cadence, PipelineConfig};
+use freespace::port::SinkPort;
 use freespace::segmentation::{Tile, TileConfig};
 use freespace::track::WheelConfig;
 
 use super::{Failure, Pace, terminal};
 use crate::bad_input::BadInput;
-use crate::config::Config;
+use crate::config::{Config, Sharing};
 use crate::eval::grid::GridLayout;
 use crate::runtime::memory::MemoryPlan;
 use crate::runtime::rights::{self, Lack, RealTimeConfig, ThreadRole};
 use crate::runtime::supervision::{end_at_once, stop_on_signals};
 use crate::runtime::{self, Observer, RunError, RunSummary, Setup};
 use crate::segmenter::{self, EngineChoice, Manifest, Segmenter};
+use crate::sink::shared_memory::{Opened, SharedMemorySink};
 
 /// Exit code of a process that must be started anew: an internal failure.
 const HUNG: i32 = 1;
@@ -90,6 +93,43 @@ pub(in crate::cli) fn tiles(config: &Config, camera: &Camera) -> TileConfig {
     TileConfig {
         count: Some(config.network.tiles),
         far: config.network.far_tile.then(|| Tile::far(camera)),
+    }
+}
+
+/// The configured sinks of a run at a pace; shared memory is for drives at real pace alone.
+///
+/// # Errors
+/// Shared memory that the configuration demands, and that cannot be had.
+pub(in crate::cli) fn sinks(
+    config: &Config,
+    pace: Pace,
+    network: &mut Network,
+) -> Result<Vec<Box<dyn SinkPort + Send>>, Failure> {
+    let (sharing, is_required) = match config.sharing() {
+        Sharing::Off => return Ok(Vec::new()),
+        _ if pace == Pace::Fast => return Ok(Vec::new()),
+        Sharing::Wanted(sharing) => (sharing, false),
+        Sharing::Required(sharing) => (sharing, true),
+    };
+    let (rows, columns, _) = config.grid.size();
+    let message_bytes = FreeSpaceMessage::encoded_len(rows * columns);
+    let real_time = network.real_time;
+    let opened = (network.plan).measure_library("sharing thread", || {
+        SharedMemorySink::open(&sharing, message_bytes, &real_time)
+    });
+    match opened {
+        Ok(Opened { sink, lacks }) => {
+            network.lacks.extend(lacks);
+            Ok(vec![Box::new(sink)])
+        }
+        Err(error) if is_required => Err(Failure::unmet(format!(
+            "shared memory `{}`: {error}",
+            sharing.name
+        ))),
+        Err(error) => {
+            eprintln!("freespace: nothing is published in shared memory: {error}");
+            Ok(Vec::new())
+        }
     }
 }
 

@@ -32,6 +32,8 @@ pub enum PartKind {
     Stack,
     /// Files mapped: program and libraries.
     File,
+    /// Memory that readers map too.
+    Shared,
     /// What was freed at start and stays, and what has no other row.
     Rest,
 }
@@ -130,6 +132,13 @@ impl MemoryPlan {
             mappings.network_library_bytes,
         );
         self.add("other libraries", PartKind::File, mappings.other_files_bytes);
+        if mappings.shared_bytes > 0 {
+            self.add(
+                "shared memory for readers",
+                PartKind::Shared,
+                mappings.shared_bytes,
+            );
+        }
         self.add("everything else in use", PartKind::Rest, unmeasured);
         self.add("freed at start, kept", PartKind::Rest, heap.free_bytes);
     }

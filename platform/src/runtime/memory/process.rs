@@ -157,6 +157,8 @@ pub(super) struct Mappings {
     pub(super) network_library_bytes: u64,
     /// Other files: shared libraries, locales.
     pub(super) other_files_bytes: u64,
+    /// What `/dev/shm` holds for other processes too.
+    pub(super) shared_bytes: u64,
     /// Mappings without a file: heap, stacks, big blocks.
     pub(super) anonymous_bytes: u64,
 }
@@ -183,6 +185,8 @@ impl Mappings {
                 continue;
             } else if !path.starts_with('/') {
                 &mut mappings.anonymous_bytes
+            } else if path.starts_with("/dev/shm/") {
+                &mut mappings.shared_bytes
             } else if path == program {
                 &mut mappings.program_bytes
             } else if path.contains("onnxruntime") {
@@ -232,6 +236,7 @@ mod tests {
 00400000-00402000 r-xp 00000000 08:01 1 /usr/bin/freespace
 7f0000000000-7f0000003000 r-xp 00000000 08:01 2 /opt/.runtime/libonnxruntime.so.1.31.1
 7f0000003000-7f0000004000 r--p 00000000 08:01 3 /usr/lib/libc.so.6
+7f0000005000-7f000000a000 rw-s 00000000 00:1a 4 /dev/shm/grid.data
 00500000-00508000 rw-p 00000000 00:00 0 [heap]
 7f0000010000-7f0000011000 rw-p 00000000 00:00 0
 7fff00000000-7fff00002000 r-xp 00000000 00:00 0 [vdso]
@@ -244,6 +249,7 @@ mod tests {
                 program_bytes: 0x2000,
                 network_library_bytes: 0x3000,
                 other_files_bytes: 0x1000,
+                shared_bytes: 0x5000,
                 anonymous_bytes: 0x9000,
             }
         );

@@ -36,23 +36,26 @@ pub enum ThreadRole {
     Network,
     /// Publishes by the deadline.
     Publisher,
+    /// Hands messages to the readers of shared memory.
+    Sharing,
     /// Watches, records and tells; never real-time.
     Monitor,
 }
 
 impl ThreadRole {
     /// All roles, in the order of the pipeline.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Camera,
         Self::Can,
         Self::Frame,
         Self::KeyFrame,
         Self::Network,
         Self::Publisher,
+        Self::Sharing,
         Self::Monitor,
     ];
 
-    /// The threads that must keep time.
+    /// The threads that must keep time, started with the run; *sharing* starts before, with its service.
     pub const REAL_TIME: [Self; 6] = [
         Self::Camera,
         Self::Can,
@@ -72,6 +75,7 @@ impl ThreadRole {
             Self::KeyFrame => "key-frame",
             Self::Network => "network",
             Self::Publisher => "publisher",
+            Self::Sharing => "sharing",
             Self::Monitor => "monitor",
         }
     }
@@ -89,6 +93,8 @@ impl ThreadRole {
             Self::KeyFrame => (Policy::Fifo(40), 1024),
             Self::Network => (Policy::Fifo(38), 512),
             Self::Publisher => (Policy::Fifo(48), 256),
+            // What readers do may cost it time: no thread with a deadline may wait for it.
+            Self::Sharing => (Policy::Fifo(42), 512),
             Self::Monitor => (Policy::Normal, 1024),
         };
         ThreadSettings {

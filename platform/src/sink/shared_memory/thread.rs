@@ -1,0 +1,77 @@
+//! The sharing thread: takes letters, writes messages, clears up after readers.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::Sender;
+use std::time::{Duration, Instant};
+
+use freespace::emit::FreeSpaceMessage;
+use freespace::port::{Clock as _, SinkMiss};
+use rtrb::Producer;
+
+use super::writer::Writer;
+use super::{Desk, LETTERS, Letter, SharingConfig, SharingError};
+use crate::clock::MonotonicClock;
+use crate::runtime::rights::{Lacks, RealTimeConfig, ThreadRole, enter};
+
+/// How often dead readers are looked for.
+const TIDY_EVERY: Duration = Duration::from_secs(2);
+
+/// Times that the service is made anew after the library panicked; each panic takes a letter with it.
+const REOPENINGS: usize = LETTERS - 1;
+
+pub(super) struct Body {
+    pub(super) desk: Arc<Desk>,
+    pub(super) back: Producer<Box<Letter>>,
+    pub(super) config: SharingConfig,
+    pub(super) real_time: RealTimeConfig,
+}
+
+impl Body {
+    /// Runs until the sink is dropped; says first whether there is a service.
+    pub(super) fn run(mut self, tell: &Sender<Result<Lacks, SharingError>>) {
+        let entered = enter(ThreadRole::Sharing, &self.real_time);
+        self.desk.letters.claim();
+        let opened = Writer::open(&self.config);
+        let mut writer = match opened {
+            Ok(writer) => writer,
+            Err(error) => {
+                let _ = tell.send(Err(error));
+                return;
+            }
+        };
+        let _ = tell.send(Ok(entered.lacks));
+        for _ in 0..=REOPENINGS {
+            let served = catch_unwind(AssertUnwindSafe(|| self.serve(&writer)));
+            if served.is_ok() {
+                return;
+            }
+            self.desk.has_failed.store(true, Ordering::Relaxed);
+            drop(writer);
+            writer = match Writer::open(&self.config) {
+                Ok(writer) => writer,
+                Err(_) => return,
+            };
+        }
+    }
+
+    fn serve(&mut self, writer: &Writer) {
+        let clock = MonotonicClock::of_devices();
+        let mut tidied = Instant::now();
+        while let Some(letter) = self.desk.letters.wait() {
+            let written = FreeSpaceMessage::decode_own(&letter.bytes[..letter.length])
+                .map_err(|_| SinkMiss::Refused)
+                .and_then(|message| writer.write(&message, clock.now()));
+            if written.is_err() {
+                self.desk.has_failed.store(true, Ordering::Relaxed);
+            }
+            // There is room for every letter.
+            let _ = self.back.push(letter);
+            if tidied.elapsed() > TIDY_EVERY {
+                writer.tidy();
+                tidied = Instant::now();
+            }
+        }
+    }
+}

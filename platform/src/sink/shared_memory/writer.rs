@@ -1,0 +1,91 @@
+//! The module's side of the service: one publisher, and the event that wakes readers.
+//!
+//! It stays on the thread that opened it.
+
+use core::ptr;
+use std::path::Path;
+use std::time::Duration;
+
+use freespace::emit::FreeSpaceMessage;
+use freespace::port::SinkMiss;
+use freespace::space::Micros;
+use freespace_reader::service::{self, HISTORY, Ipc, Payload, READER_BUFFER, READER_HOLDS, WRITER_HOLDS};
+use iceoryx2::node::Node;
+use iceoryx2::port::backpressure_strategy::BackpressureStrategy;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::service::service_name::ServiceName;
+
+use super::{SharingConfig, SharingError, leftovers};
+
+/// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
+const SPARE_NODES: usize = 4;
+
+/// A node that has no monitor after this time never will: it takes milliseconds.
+const IN_THE_MAKING: Duration = Duration::from_secs(60);
+
+pub(super) struct Writer {
+    publisher: Publisher<Ipc, Payload, ()>,
+    notifier: Notifier<Ipc>,
+    // Ports go before the node they belong to.
+    node: Node<Ipc>,
+}
+
+impl Writer {
+    /// Makes the service with all its slots. What a module that died left behind is cleared away first.
+    pub(super) fn open(config: &SharingConfig) -> Result<Self, SharingError> {
+        let name = ServiceName::new(&config.name).map_err(|_| SharingError::Name)?;
+        let node = service::node()?;
+        let events = node
+            .service_builder(&name)
+            .event()
+            .max_notifiers(1)
+            .max_listeners(config.max_readers)
+            .max_nodes(config.max_readers + SPARE_NODES)
+            .event_id_max_value(0)
+            .open_or_create()?;
+        let notifier = events.notifier_builder().create()?;
+        let messages = node
+            .service_builder(&name)
+            .publish_subscribe::<Payload>()
+            .max_publishers(1)
+            .max_subscribers(config.max_readers)
+            .max_nodes(config.max_readers + SPARE_NODES)
+            .subscriber_max_buffer_size(READER_BUFFER)
+            .subscriber_max_borrowed_samples(READER_HOLDS)
+            .history_size(HISTORY)
+            .enable_safe_overflow(true)
+            .open_or_create()?;
+        let publisher = messages
+            .publisher_builder()
+            .max_loaned_samples(WRITER_HOLDS)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()?;
+        Ok(Self {
+            publisher,
+            notifier,
+            node,
+        })
+    }
+
+    /// Writes a message into a free slot, hands it to every reader, and wakes them.
+    pub(super) fn write(&self, message: &FreeSpaceMessage<'_>, now: Micros) -> Result<(), SinkMiss> {
+        let mut sample = self.publisher.loan_uninit().map_err(|_| SinkMiss::Refused)?;
+        // SAFETY: the slot lies in a mapping of this process that was zeroed when it was made, and holds nothing but messages
+        // since; every bit pattern is a message, so whatever lies there is one.
+        let slot = unsafe { &mut *ptr::from_mut(sample.payload_mut()).cast::<Payload>() };
+        slot.0.fill(message, now);
+        // SAFETY: as above.
+        let sample = unsafe { sample.assume_init() };
+        sample.send().map_err(|_| SinkMiss::Refused)?;
+        // A reader that cannot be woken looks by itself, and the others were woken all the same.
+        let _ = self.notifier.notify();
+        Ok(())
+    }
+
+    /// Clears away what readers that died left behind, without waiting for anything.
+    pub(super) fn tidy(&self) {
+        let _ = self.node.try_cleanup_dead_nodes();
+        leftovers::sweep(Path::new(service::NODES), IN_THE_MAKING);
+    }
+}

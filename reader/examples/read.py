@@ -1,0 +1,50 @@
+"""Prints what the module publishes.
+
+    cargo build --release -p freespace-reader
+    FREESPACE_READER_LIBRARY=target/release/libfreespace_reader.so PYTHONPATH=include python3 reader/examples/read.py [NAME [MESSAGES]]
+"""
+
+import sys
+import time
+
+import freespace
+
+LEVELS = ["full", "no_refinement", "no_fresh_network", "no_fresh_map", "moved", "invalid"]
+
+
+def open_reader(name):
+    while True:
+        try:
+            return freespace.Reader(name)
+        except freespace.ReaderError as error:
+            if error.code != freespace.NO_MODULE:
+                raise
+        print(f"waiting for a module that publishes {name}", file=sys.stderr)
+        time.sleep(1.0)
+
+
+def show(reader, message):
+    cells = message.rows * message.columns
+    unknown = message.occupancy[:cells].count(freespace.UNKNOWN)
+    print(
+        f"{message.sequence:6} {LEVELS[message.level]:<16} age {reader.age_micros(message) * 1e-3:6.1f} ms, "
+        f"free ahead {reader.free_ahead_m(message):5.1f} m, {unknown} of {cells} cells unknown (not free)",
+        flush=True,
+    )
+
+
+def main():
+    name = sys.argv[1] if len(sys.argv) > 1 else "freespace/grid"
+    messages = int(sys.argv[2]) if len(sys.argv) > 2 else -1
+    with open_reader(name) as reader:
+        while messages != 0:
+            message = reader.next(timeout_s=1.0)
+            if message is None:
+                print("no message for 1 s: nothing is known to be free")
+                continue
+            show(reader, message)
+            messages -= 1
+
+
+if __name__ == "__main__":
+    main()

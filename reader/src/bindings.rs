@@ -1,0 +1,272 @@
+//! The layout for other languages, written from the Rust type: `include/freespace.h` and `include/freespace.py`.
+//!
+//! In: [`FIELDS`], the faults and the codes. Out: two texts, the same on every machine. They are committed;
+//! `cargo run -p freespace-reader --example write_bindings` writes them anew, and a test fails where that was forgotten.
+
+use core::fmt::Write as _;
+
+use freespace::budget::{MAX_CELLS, SECTORS};
+use freespace::emit::{Element, FIELDS, Field, SHARED_BYTES, SHARED_VERSION};
+use freespace::grid::Grid;
+use freespace::health::Faults;
+
+use crate::c::CODES;
+
+const C_BEGIN: &str = r#"/* The free-space message in shared memory, and its reader. Made by `cargo run -p freespace-reader --example write_bindings`.
+ *
+ * Link with libfreespace_reader.a (and -lpthread -ldl -lm) or libfreespace_reader.so, built by
+ * `cargo build --release -p freespace-reader`. Numbers have the machine's own byte order; there is no padding.
+ *
+ * UNKNOWN IS NOT FREE: a cell may be driven on where its occupancy is 0 to FREESPACE_FREE_AT_MOST, and nowhere else. A message
+ * of level FREESPACE_LEVEL_INVALID says nothing of the road; a message that does not come says nothing either: look at its age.
+ */
+#ifndef FREESPACE_H
+#define FREESPACE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+"#;
+
+const C_END: &str = r#"
+/* A reader, for one thread at a time. */
+typedef struct freespace_reader freespace_reader;
+
+/* Opens a reader; a null name is "freespace/grid". FREESPACE_NO_MODULE is worth another try a second later. */
+int freespace_reader_open(const char *name, freespace_reader **reader);
+
+/* Waits for the newest message that this reader has not had. It is read in place, and good until the next call with this
+ * reader. A reader outlives the module: where that is started anew, its messages go on, with a sequence from 0. */
+int freespace_reader_next(freespace_reader *reader, uint64_t timeout_micros, const freespace_message **message);
+
+/* Closes a reader. */
+void freespace_reader_close(freespace_reader *reader);
+
+/* Microseconds from the capture of a message until now. */
+uint64_t freespace_age_micros(const freespace_message *message);
+
+/* Free distance straight ahead of the rear axle, metres: the least of the sectors within half_rad of it. 0 where the message
+ * is not to be used. */
+float freespace_free_ahead_m(const freespace_message *message, float half_rad);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+"#;
+
+const PYTHON_BEGIN: &str = r#""""The free-space message in shared memory, and its reader. Made by `cargo run -p freespace-reader --example write_bindings`.
+
+It loads libfreespace_reader.so, built by `cargo build --release -p freespace-reader`: from FREESPACE_READER_LIBRARY, or where
+the system finds libraries. Unknown is not free: a cell may be driven on where its occupancy is 0 to FREE_AT_MOST, nowhere else.
+"""
+
+import ctypes
+import os
+
+"#;
+
+const PYTHON_END: &str = r#"
+class ReaderError(Exception):
+    """Why messages cannot be read; `code` is one of the codes above."""
+
+    def __init__(self, code):
+        super().__init__(CODES.get(code, f"code {code}"))
+        self.code = code
+
+
+def _library():
+    library = ctypes.CDLL(os.environ.get("FREESPACE_READER_LIBRARY", "libfreespace_reader.so"))
+    message = ctypes.POINTER(Message)
+    library.freespace_reader_open.argtypes = [ctypes.c_char_p, ctypes.POINTER(ctypes.c_void_p)]
+    library.freespace_reader_next.argtypes = [ctypes.c_void_p, ctypes.c_uint64, ctypes.POINTER(message)]
+    library.freespace_reader_close.argtypes = [ctypes.c_void_p]
+    library.freespace_reader_close.restype = None
+    library.freespace_age_micros.argtypes = [message]
+    library.freespace_age_micros.restype = ctypes.c_uint64
+    library.freespace_free_ahead_m.argtypes = [message, ctypes.c_float]
+    library.freespace_free_ahead_m.restype = ctypes.c_float
+    return library
+
+
+class Reader:
+    """Reads the messages of one module; for one thread at a time."""
+
+    def __init__(self, name="freespace/grid"):
+        self._library = _library()
+        self._reader = ctypes.c_void_p()
+        code = self._library.freespace_reader_open(name.encode(), ctypes.byref(self._reader))
+        if code != OK:
+            raise ReaderError(code)
+
+    def next(self, timeout_s=1.0):
+        """The newest message not had yet, or None. It is read in place, and good until the next call."""
+        message = ctypes.POINTER(Message)()
+        timeout_micros = max(0, int(timeout_s * 1e6))
+        code = self._library.freespace_reader_next(self._reader, timeout_micros, ctypes.byref(message))
+        if code == NOTHING:
+            return None
+        if code != OK:
+            raise ReaderError(code)
+        return message.contents
+
+    def age_micros(self, message):
+        """Microseconds from the capture of a message until now."""
+        return self._library.freespace_age_micros(message)
+
+    def free_ahead_m(self, message, half_rad=0.05):
+        """Free distance straight ahead, metres; 0 where the message is not to be used."""
+        return self._library.freespace_free_ahead_m(message, half_rad)
+
+    def close(self):
+        """Closes the reader."""
+        self._library.freespace_reader_close(self._reader)
+        self._reader = ctypes.c_void_p()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+"#;
+
+const fn c_type(element: Element) -> &'static str {
+    match element {
+        Element::I8 => "int8_t",
+        Element::U8 => "uint8_t",
+        Element::U16 => "uint16_t",
+        Element::U32 => "uint32_t",
+        Element::U64 => "uint64_t",
+        Element::F32 => "float",
+        Element::F64 => "double",
+    }
+}
+
+const fn python_type(element: Element) -> &'static str {
+    match element {
+        Element::I8 => "ctypes.c_int8",
+        Element::U8 => "ctypes.c_uint8",
+        Element::U16 => "ctypes.c_uint16",
+        Element::U32 => "ctypes.c_uint32",
+        Element::U64 => "ctypes.c_uint64",
+        Element::F32 => "ctypes.c_float",
+        Element::F64 => "ctypes.c_double",
+    }
+}
+
+/// Numbers that both languages name, with their prefix-free names.
+fn constants() -> Vec<(&'static str, i64)> {
+    let number = |value: usize| i64::try_from(value).unwrap_or(i64::MAX);
+    vec![
+        ("MAGIC", 0x4545_5246),
+        ("VERSION", i64::from(SHARED_VERSION)),
+        ("BYTES", number(SHARED_BYTES)),
+        ("MAX_CELLS", number(MAX_CELLS)),
+        ("SECTORS", number(SECTORS)),
+        ("UNKNOWN", -1),
+        ("FREE_AT_MOST", i64::from(Grid::FREE_AT_MOST)),
+        ("LEVEL_FULL", 0),
+        ("LEVEL_NO_REFINEMENT", 1),
+        ("LEVEL_NO_FRESH_NETWORK", 2),
+        ("LEVEL_NO_FRESH_MAP", 3),
+        ("LEVEL_MOVED", 4),
+        ("LEVEL_INVALID", 5),
+    ]
+}
+
+fn c_member(field: &Field) -> String {
+    let count = field.count.map_or(String::new(), |count| format!("[{count}]"));
+    let name = field.name;
+    let member = format!("{} {name}{count};", c_type(field.element));
+    format!("    /* {:>6}: {} */\n    {member}\n", field.offset, field.doc)
+}
+
+/// `include/freespace.h`: C11 and C++11.
+#[must_use]
+pub fn c_header() -> String {
+    let mut text = C_BEGIN.to_owned();
+    // A `String` takes all that is written to it, here and below.
+    for (name, value) in constants() {
+        let _ = writeln!(text, "#define FREESPACE_{name} ({value})");
+    }
+    text.push_str("\n/* Faults, the bits of `faults`. */\n");
+    for (fault, name) in Faults::NAMED {
+        let _ = writeln!(
+            text,
+            "#define FREESPACE_FAULT_{} (0x{:08x}u)",
+            name.to_uppercase(),
+            fault.0
+        );
+    }
+    text.push_str("\n/* What the functions return. */\n");
+    for (name, code, says) in CODES {
+        let _ = writeln!(text, "#define FREESPACE_{name} ({code}) /* {says} */");
+    }
+    text.push_str("\n/* The message; each field with its offset. */\ntypedef struct freespace_message {\n");
+    for field in FIELDS {
+        text.push_str(&c_member(field));
+    }
+    text.push_str("} freespace_message;\n");
+    text.push_str(C_END);
+    text
+}
+
+/// `include/freespace.py`: Python 3.8 and later, nothing to install.
+#[must_use]
+pub fn python_module() -> String {
+    let mut text = PYTHON_BEGIN.to_owned();
+    for (name, value) in constants() {
+        let _ = writeln!(text, "{name} = {value}");
+    }
+    for (name, code, _) in CODES {
+        let _ = writeln!(text, "{name} = {code}");
+    }
+    text.push_str("CODES = {\n");
+    for (name, _, says) in CODES {
+        let _ = writeln!(text, "    {name}: \"{says}\",");
+    }
+    text.push_str("}\nFAULTS = {\n");
+    for (fault, name) in Faults::NAMED {
+        let _ = writeln!(text, "    0x{:08X}: \"{name}\",", fault.0);
+    }
+    text.push_str("}\n\n\nclass Message(ctypes.Structure):\n    \"\"\"The message; each field with its offset.\"\"\"\n\n");
+    text.push_str("    _fields_ = [\n");
+    for field in FIELDS {
+        let count = field.count.map_or(String::new(), |count| format!(" * {count}"));
+        let element = python_type(field.element);
+        let _ = writeln!(
+            text,
+            "        # {}: {}\n        (\"{}\", {element}{count}),",
+            field.offset, field.doc, field.name
+        );
+    }
+    text.push_str("    ]\n\n\nassert ctypes.sizeof(Message) == BYTES\n\n");
+    text.push_str(PYTHON_END);
+    text
+}
+
+/// A C translation unit that compiles where the header's struct has the layout of the Rust type.
+#[must_use]
+pub fn c_layout_check() -> String {
+    let mut text =
+        "#include \"freespace.h\"\n#ifdef __cplusplus\n#define CHECK(x) static_assert(x, #x)\n#else\n\
+                    #define CHECK(x) _Static_assert(x, #x)\n#endif\n"
+            .to_owned();
+    let _ = writeln!(text, "CHECK(sizeof(freespace_message) == {SHARED_BYTES});");
+    for field in FIELDS {
+        let (name, offset) = (field.name, field.offset);
+        let bytes = c_type(field.element);
+        let count = field.count.unwrap_or(1);
+        let _ = writeln!(text, "CHECK(offsetof(freespace_message, {name}) == {offset});");
+        let _ = writeln!(
+            text,
+            "CHECK(sizeof(((freespace_message *)0)->{name}) == {count} * sizeof({bytes}));"
+        );
+    }
+    text
+}

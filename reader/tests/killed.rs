@@ -1,0 +1,168 @@
+//! Readers that hang and readers that are killed cost the module nothing. Alone in its process, whose open files it counts.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod module;
+
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use freespace_platform::runtime::memory::ProcessMemory;
+use freespace_reader::Reader;
+use module::Module;
+use rustix::process::{Pid, Signal, kill_process};
+
+const READERS: u32 = 100;
+const MAX_READERS: usize = 3;
+/// Messages after which the last dead reader must have been cleared away: it is looked for every two seconds.
+const SETTLING: u32 = 3000;
+/// What may stay of a hundred readers: the allocator's habits.
+const GROWTH_BYTES: i64 = 4 << 20;
+
+/// xorshift64; the same readers every time.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, limit: u64) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0 % limit
+    }
+}
+
+fn example() -> PathBuf {
+    let program = std::env::current_exe().unwrap();
+    program.ancestors().nth(2).unwrap().join("examples/read")
+}
+
+fn reader(name: &str) -> Child {
+    let mut command = Command::new(example());
+    command.arg(name).stdout(Stdio::null()).stderr(Stdio::null());
+    command.spawn().unwrap()
+}
+
+fn signal(child: &Child, signal: Signal) {
+    // One that has ended by itself, for want of room, is no longer there.
+    let _ = kill_process(Pid::from_child(child), signal);
+}
+
+/// Open files, and entries of `/dev/shm`: memory, sockets and services. Nodes in the making when they were killed stay for a
+/// minute, and are not counted; nor is anything while others have theirs there.
+fn held() -> (usize, usize) {
+    let files = std::fs::read_dir("/proc/self/fd").unwrap().count();
+    let entries = if others_share() {
+        0
+    } else {
+        entries("/dev/shm".into())
+    };
+    (files, entries)
+}
+
+/// Whether a process that this test did not start has a part in a service of its own.
+fn others_share() -> bool {
+    let own = std::process::id().to_string();
+    let is_other = |entry: &std::fs::DirEntry| {
+        let stat = std::fs::read_to_string(entry.path().join("stat")).unwrap_or_default();
+        // The parent is the second field after the name in parentheses.
+        let parent = stat
+            .rsplit_once(')')
+            .and_then(|(_, fields)| fields.split_whitespace().nth(1));
+        let is_process = entry.file_name().to_string_lossy().parse::<u32>().is_ok();
+        is_process && entry.file_name() != *own && parent.is_some_and(|parent| parent != own)
+    };
+    (std::fs::read_dir("/proc").unwrap().filter_map(Result::ok))
+        .filter(is_other)
+        .any(|entry| {
+            std::fs::read_to_string(entry.path().join("maps"))
+                .is_ok_and(|maps| maps.contains("/dev/shm/iox2_"))
+        })
+}
+
+fn entries(folder: PathBuf) -> usize {
+    let Ok(listing) = std::fs::read_dir(folder) else {
+        return 0;
+    };
+    listing
+        .filter_map(Result::ok)
+        .filter(|entry| entry.file_name() != "nodes")
+        .map(|entry| {
+            let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+            1 + if is_folder { entries(entry.path()) } else { 0 }
+        })
+        .sum()
+}
+
+/// Publishes `count` messages, 5 ms apart, none of them refused.
+fn drive(module: &mut Module, count: u64) {
+    for _ in 0..count {
+        assert_eq!(module.publish(), Ok(()));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_hundred_readers_that_hang_or_are_killed_leave_nothing_behind() {
+    let name = module::name("killed");
+    let mut random = Random(2018);
+    let mut module = Module::open(&name, MAX_READERS).unwrap();
+    drive(&mut module, 10);
+    // The first reader makes the library set up what it keeps.
+    let mut first = reader(&name);
+    drive(&mut module, 40);
+    first.kill().unwrap();
+    first.wait().unwrap();
+    settle(&mut module, None);
+    let (before, memory) = (held(), ProcessMemory::now());
+    let mut hanging: Option<Child> = None;
+    let mut connected = 0;
+    for _ in 0..READERS {
+        let mut child = reader(&name);
+        drive(&mut module, random.below(16));
+        connected += u32::from(held().0 > before.0);
+        if random.below(3) == 0 {
+            signal(&child, Signal::STOP);
+            if let Some(mut earlier) = hanging.replace(child) {
+                earlier.kill().unwrap();
+                earlier.wait().unwrap();
+            }
+        } else {
+            signal(&child, Signal::KILL);
+            child.wait().unwrap();
+        }
+        drive(&mut module, random.below(4));
+    }
+    if let Some(mut last) = hanging {
+        last.kill().unwrap();
+        last.wait().unwrap();
+    }
+    settle(&mut module, Some(before));
+    let grown = ProcessMemory::now().resident_growth_since(&memory);
+    println!(
+        "{READERS} readers, {connected} times at least one of them connected: {:?} files and entries where there were {before:?}, {grown} bytes more",
+        held()
+    );
+    assert!(
+        connected >= READERS / 4,
+        "{connected} times a reader was connected"
+    );
+    assert!(grown < GROWTH_BYTES, "{grown} bytes more are resident");
+    // There is room for as many as at the start.
+    let readers: Vec<Reader> = (0..MAX_READERS).map(|_| Reader::open(&name).unwrap()).collect();
+    drop(readers);
+}
+
+/// Publishes on until no more is held than was `before`, or for as long as it takes to find dead readers.
+fn settle(module: &mut Module, before: Option<(usize, usize)>) {
+    for _ in 0..SETTLING {
+        drive(module, 1);
+        let now = held();
+        let is_settled = before.is_some_and(|before| now.0 <= before.0 && now.1 <= before.1);
+        if is_settled || (before.is_none() && module.sequence > 600) {
+            return;
+        }
+    }
+    let now = held();
+    assert!(before.is_none(), "{now:?} files and entries, {before:?} before");
+}
