@@ -14,8 +14,8 @@ mod trace;
 
 pub use live::{LiveRun, run_live};
 pub use lockstep::{FaultKind, FaultModel, Injection, Victim, run_in_lockstep, run_modelled};
-pub use restart::hush_real_time_panics;
 pub use network::{InlineNetwork, ThreadedNetwork};
+pub use restart::hush_real_time_panics;
 pub use trace::{Event, Trace};
 
 use freespace::pipeline::{FrameOutcome, KeyFrameJob, KeyFrameOutput, PipelineConfig};
@@ -100,6 +100,10 @@ pub trait Observer {
     fn trace(&mut self, trace: &Trace) {
         let _ = trace;
     }
+    /// The last message of a live run has left; no grid follows.
+    fn last_word(&mut self, output: &KeyFrameOutput) {
+        let _ = output;
+    }
     /// How it goes, several times a second.
     fn status(&mut self, status: &Status) {
         let _ = status;
@@ -141,6 +145,8 @@ pub struct RunSummary {
     pub allocations_after_start: u64,
     /// Page faults of warm real-time threads.
     pub page_faults: u64,
+    /// A signal ended it before its camera or its time did.
+    pub is_cut_short: bool,
 }
 
 /// Wheel readings up to this long after a frame's stamp are taken in before the frame: a frame is delivered that much later

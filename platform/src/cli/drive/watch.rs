@@ -56,6 +56,7 @@ impl Watch {
             peak_rss_mb: peak_rss_mb(),
             memory: (self.memory.as_ref()).map(|memory| memory.finish(summary.page_faults)),
             restarts: summary.restarts,
+            is_cut_short: summary.is_cut_short,
         };
         (counts, self.statistics)
     }

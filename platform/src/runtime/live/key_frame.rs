@@ -120,7 +120,7 @@ impl KeyFrameThread {
             self.teller.tell(now, Event::Panicked(blame));
             // A new start: it may allocate. The old one goes first.
             outside_scopes(|| {
-                self.task = None;
+                drop(self.task.take());
                 self.task = Some(KeyFrameTask::new(&self.config, Pace::Real));
             });
         } else {

@@ -239,6 +239,8 @@ impl Shared {
             restarts: self.restarts.count(),
             allocations_after_start,
             page_faults: count(&self.counters.page_faults),
+            // Only who installed the signals knows.
+            is_cut_short: false,
         }
     }
 }

@@ -213,10 +213,19 @@ impl PublisherThread {
             let clock = &self.shared.clock;
             let task = &mut self.task;
             self.shared.publisher_progress.enter(Stage::Emit);
-            if guarded(|| task.shut_down(clock.now(), &mut output, clock)).is_ok() {
+            let is_made = guarded(|| task.shut_down(clock.now(), &mut output, clock)).is_ok();
+            if is_made {
                 self.send(&output);
             }
             self.shared.publisher_progress.rest();
+            if is_made {
+                // It is not waited for: an observer that holds all it may hold does not see it.
+                let _ = self.seen.push(Observation {
+                    is_last_word: true,
+                    job: None,
+                    output,
+                });
+            }
         }
         self.shared.is_published.store(true, Ordering::Release);
         self.shared.observer_bell.ring();
@@ -251,7 +260,11 @@ impl PublisherThread {
             Counters::add(&counters.unobserved, 1);
         }
         if self.lent < LENT && !self.outputs.is_empty() {
-            match self.seen.push(Observation { job, output }) {
+            match self.seen.push(Observation {
+                is_last_word: false,
+                job,
+                output,
+            }) {
                 Ok(()) => {
                     self.lent += 1;
                     self.shared.observer_bell.ring();
@@ -259,7 +272,11 @@ impl PublisherThread {
                 Err(rtrb::PushError::Full(back)) => self.unseen(back),
             }
         } else {
-            self.unseen(Observation { job, output });
+            self.unseen(Observation {
+                is_last_word: false,
+                job,
+                output,
+            });
         }
     }
 

@@ -43,7 +43,10 @@ fn it_has_the_two_rights_that_the_runtime_asks_for_and_no_other() {
 #[test]
 fn what_it_runs_is_what_its_recipe_installs() {
     let environment = all("Environment").join("\n");
-    for path in ["/etc/freespace/car.toml", "/usr/share/freespace/libonnxruntime.so"] {
+    for path in [
+        "/etc/freespace/car.toml",
+        "/usr/share/freespace/libonnxruntime.so",
+    ] {
         assert!(environment.contains(path), "{path}");
     }
     for installed in [
