@@ -25,7 +25,7 @@ use freespace::space::Micros;
 
 use crate::clock::MonotonicClock;
 use crate::segmenter::Segmenter;
-use crate::statistics::Publication;
+use crate::statistics::{Drops, Publication};
 use memory::MemoryPlan;
 use rights::{Lack, RealTimeConfig};
 
@@ -80,6 +80,8 @@ pub struct Status {
     pub fresh: u64,
     /// Parts that panicked and were started anew.
     pub restarts: u32,
+    /// What was lost on the way.
+    pub drops: Drops,
 }
 
 /// Watches a run from a normal thread; it may allocate and block.
@@ -137,8 +139,8 @@ pub struct RunSummary {
     pub deadline_misses: u64,
     /// Key frames that their own answer answered.
     pub fresh: u64,
-    /// Key frames and frames that the observer was too slow to see.
-    pub unobserved: u64,
+    /// What was lost on the way.
+    pub drops: Drops,
     /// Parts that panicked and were started anew.
     pub restarts: u32,
     /// Allocations made by the real-time threads after their start.

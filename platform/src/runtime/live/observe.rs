@@ -111,9 +111,11 @@ impl ObserverThread {
 
     fn status(&self) -> Status {
         let counters = &self.shared.counters;
+        let drops = counters.drops();
         Status {
             frames: counters.frames.load(Ordering::Relaxed),
-            dropped_frames: counters.dropped_frames.load(Ordering::Relaxed),
+            dropped_frames: drops.frames(),
+            drops,
             key_frames: counters.key_frames.load(Ordering::Relaxed),
             deadline_misses: counters.misses.load(Ordering::Relaxed),
             fresh: counters.fresh.load(Ordering::Relaxed),
