@@ -211,7 +211,8 @@ impl KeyFrameTask {
         let rejected = self.map.rejected_wheel_steps();
         self.map.insert(&job.batch);
         if self.map.rejected_wheel_steps() > rejected {
-            output.faults.insert(Faults::WHEELS_SLIP);
+            // Over that step the landmarks carried the scale.
+            output.faults.insert(Faults::WHEELS_SLIP | Faults::SCALE_HELD);
         }
         for _ in 0..BUNDLE_REFINEMENTS {
             if watch.is_over(Stage::Map) {
