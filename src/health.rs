@@ -12,13 +12,13 @@ use crate::stage::Stage;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum QualityLevel {
-    /// Every stage ran to its end on this key frame.
+    /// Every stage ran to its end on this key frame, and found what it looks for: all that is said is fresh.
     Full = 0,
-    /// Every stage left its base result; refinement was cut short.
+    /// Every stage left its base result; refinement was cut short, or plane or scale are held though all ran.
     NoRefinement = 1,
     /// The network's last probabilities, moved by the pose, stand in for fresh ones.
     NoFreshNetwork = 2,
-    /// The plane is held and the pose comes from the wheels alone.
+    /// There is no map, or it and the plane had to be held; or the pose comes from the wheels alone.
     NoFreshMap = 3,
     /// The last grid, moved by the wheels and aged.
     Moved = 4,

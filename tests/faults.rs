@@ -156,11 +156,25 @@ impl Observer for Log {
     }
 }
 
+impl Row {
+    /// Whether nothing but what is seen lowers the level: the first key frame has no map yet, and in pictures this small there
+    /// is not always a plane.
+    fn is_undisturbed(&self) -> bool {
+        let (lowest, seen) = if self.stamp == Micros(0) {
+            let first = Faults::PLANE_HELD | Faults::SCALE_HELD | Faults::WHEELS_SILENT;
+            (QualityLevel::NoFreshMap, first)
+        } else {
+            (QualityLevel::NoRefinement, Faults::PLANE_HELD)
+        };
+        self.level <= lowest && seen.contains(self.faults)
+    }
+}
+
 impl Log {
-    /// The key frames that are not at full level, a line each.
+    /// The key frames that a fault lowered, a line each.
     fn table(&self) -> String {
         let mut table = String::new();
-        for row in self.rows.iter().filter(|row| row.level != QualityLevel::Full) {
+        for row in self.rows.iter().filter(|row| !row.is_undisturbed()) {
             let age = row
                 .age_micros
                 .map_or_else(|| "-".to_owned(), |age| (age / 1000).to_string());
@@ -180,12 +194,8 @@ impl Log {
             )
             .unwrap();
         }
-        let full = self
-            .rows
-            .iter()
-            .filter(|row| row.level == QualityLevel::Full)
-            .count();
-        writeln!(table, "  full: {full} of {}", self.rows.len()).unwrap();
+        let undisturbed = self.rows.iter().filter(|row| row.is_undisturbed()).count();
+        writeln!(table, "  undisturbed: {undisturbed} of {}", self.rows.len()).unwrap();
         table
     }
 }
@@ -225,7 +235,7 @@ fn whatever_is_hit_every_key_frame_is_answered_in_time_and_says_how_well() {
     let drive = Drive::recorded();
     let undisturbed = drive.run(None);
     assert!(
-        undisturbed.rows.iter().all(|row| row.level == QualityLevel::Full),
+        undisturbed.rows.iter().all(Row::is_undisturbed),
         "{}",
         undisturbed.table()
     );
@@ -267,7 +277,7 @@ fn check(name: &str, injection: &Injection, log: &Log) {
         injection.kind != FaultKind::Hang || matches!(injection.victim, Victim::Camera | Victim::Wheels);
     if recovers {
         let last = log.rows.last().unwrap();
-        assert_eq!(last.level, QualityLevel::Full, "{name} recovers\n{}", log.table());
+        assert!(last.is_undisturbed(), "{name} recovers\n{}", log.table());
     }
 }
 

@@ -7,6 +7,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Barrier, mpsc};
 use std::thread;
+use std::time::Duration;
 
 use freespace_platform::runtime::allocation::CountingAllocator;
 use freespace_platform::runtime::memory::{MemoryPlan, PageFaults, ProcessMemory, locked_bytes};
@@ -178,6 +179,8 @@ fn the_first_signal_asks_and_the_second_ends() {
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
         for word in ["waits", "asked"] {
             assert!(lines.any(|line| line.unwrap().ends_with(word)), "{word}");
+            // Signals at one time are one.
+            thread::sleep(Duration::from_millis(300));
             kill_process(pid, signal).unwrap();
         }
         assert_eq!(child.wait().unwrap().code(), Some(code));

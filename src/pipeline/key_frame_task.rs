@@ -161,8 +161,10 @@ impl KeyFrameTask {
         self.describe(output);
         let stale = Stale {
             is_lost: output.faults.contains(Faults::TRACKING_LOST),
-            map: !is_map_fresh,
+            map: !is_map_fresh || output.landmarks == 0,
             priors: !are_priors_fresh,
+            plane: output.faults.contains(Faults::PLANE_HELD),
+            scale: output.faults.contains(Faults::SCALE_HELD),
             network: !is_network_fresh,
             is_map_late: output.faults.contains(Faults::MAP_LATE),
             is_cut_stopped: !is_solved,
@@ -209,7 +211,8 @@ impl KeyFrameTask {
         let rejected = self.map.rejected_wheel_steps();
         self.map.insert(&job.batch);
         if self.map.rejected_wheel_steps() > rejected {
-            output.faults.insert(Faults::WHEELS_SLIP);
+            // Over that step the landmarks carried the scale.
+            output.faults.insert(Faults::WHEELS_SLIP | Faults::SCALE_HELD);
         }
         for _ in 0..BUNDLE_REFINEMENTS {
             if watch.is_over(Stage::Map) {
@@ -454,8 +457,12 @@ fn correction(scale: &ScaleEstimate, is_first: bool) -> f64 {
 /// What an answer had to do without.
 struct Stale {
     is_lost: bool,
+    /// A map that had no time, or has no landmark yet.
     map: bool,
     priors: bool,
+    /// The priors ran, but found no plane: the one that mount and travel foretell stands in.
+    plane: bool,
+    scale: bool,
     network: bool,
     is_map_late: bool,
     is_cut_stopped: bool,
@@ -474,7 +481,9 @@ impl Stale {
             (QualityLevel::NoFreshNetwork, Some(Stage::Segmentation))
         } else if self.is_cut_stopped {
             (QualityLevel::NoRefinement, Some(Stage::Crf))
-        } else if self.is_map_late {
+        } else if self.plane {
+            (QualityLevel::NoRefinement, Some(Stage::Priors))
+        } else if self.is_map_late || self.scale {
             (QualityLevel::NoRefinement, Some(Stage::Map))
         } else {
             (QualityLevel::Full, None)

@@ -192,6 +192,12 @@ impl PublishTask {
         self.publisher.unanswered()
     }
 
+    /// Answers and announcements that came after their fallback.
+    #[must_use]
+    pub const fn late(&self) -> u64 {
+        self.publisher.late()
+    }
+
     fn fill(&mut self, due: &Due, workers: &Workers, output: &mut KeyFrameOutput) {
         let blame = blame(due, workers);
         let (pose, tracking) = match &due.announcement {

@@ -185,6 +185,12 @@ fn is_fresh(publication: &&Publication) -> bool {
     publication.level < QualityLevel::Moved
 }
 
+fn hang() -> ! {
+    loop {
+        std::thread::sleep(Duration::from_secs(1));
+    }
+}
+
 /// Never comes back, once it is asked for the tenth time.
 struct HangingWheels {
     asked: u32,
@@ -193,8 +199,8 @@ struct HangingWheels {
 impl WheelPort for HangingWheels {
     fn readings_until(&mut self, _until: Micros, _take: &mut dyn FnMut(WheelReading)) {
         self.asked += 1;
-        while self.asked == 10 {
-            std::thread::sleep(Duration::from_secs(1));
+        if self.asked == 10 {
+            hang();
         }
     }
 }
@@ -220,8 +226,8 @@ struct HangingCamera(Box<dyn CameraPort + Send>, u32);
 impl CameraPort for HangingCamera {
     fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
         self.1 += 1;
-        while self.1 == 10 {
-            std::thread::sleep(Duration::from_secs(1));
+        if self.1 == 10 {
+            hang();
         }
         self.0.next_frame(buffer)
     }

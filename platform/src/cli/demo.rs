@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use freespace::frame::Camera;
-use freespace::pipeline::Cadence;
+use freespace::pipeline::{Cadence, KeyFrameOutput};
 use freespace::port::WheelPort;
 use freespace::space::{Micros, Pose};
 
@@ -217,6 +217,10 @@ impl Observer for Judge {
         self.recorder.trace(trace);
     }
 
+    fn last_word(&mut self, output: &KeyFrameOutput) {
+        self.recorder.last_word(output);
+    }
+
     fn status(&mut self, status: &Status) {
         self.recorder.status(status);
     }
@@ -233,6 +237,9 @@ impl Observer for Judge {
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
         self.recorder.key_frame(report);
-        self.judge(report);
+        // What answers for an instant without a frame has no picture to be judged by.
+        if report.output.has_frame {
+            self.judge(report);
+        }
     }
 }

@@ -81,3 +81,29 @@ impl Drop for Service {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::runtime::rights::{Right, ThreadRole};
+
+    #[test]
+    fn what_has_one_fix_is_one_line() {
+        let lack = |right, thread| Lack {
+            right,
+            thread,
+            errno: 1,
+        };
+        let lines = lacking(&[
+            lack(Right::Priority, Some(ThreadRole::Frame)),
+            lack(Right::MemoryLock, None),
+            lack(Right::Priority, Some(ThreadRole::Publisher)),
+        ]);
+        assert_eq!(lines.len(), 2, "{lines:?}");
+        assert!(
+            lines[0].contains("frame: ") && lines[0].contains("publisher: "),
+            "{lines:?}"
+        );
+        assert_eq!(lines[0].matches("CAP_SYS_NICE").count(), 1, "{lines:?}");
+    }
+}

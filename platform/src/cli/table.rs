@@ -14,6 +14,9 @@ pub(super) fn print(report: &Report, engine: &str, out: Option<&Path>, as_json: 
         return;
     }
     let line = |name: &str, value: String| terminal::show(format_args!("{name:<22}{value}"));
+    if report.is_cut_short {
+        line("cut short", "a signal ended the drive".to_owned());
+    }
     let met = report.key_frames - report.deadline_misses;
     line("deadlines met", format!("{met} of {}", report.key_frames));
     if let Some(latency) = report.capture_to_publish_ms {

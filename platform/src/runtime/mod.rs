@@ -25,7 +25,7 @@ use freespace::space::Micros;
 
 use crate::clock::MonotonicClock;
 use crate::segmenter::Segmenter;
-use crate::statistics::Publication;
+use crate::statistics::{Drops, Publication};
 use memory::MemoryPlan;
 use rights::{Lack, RealTimeConfig};
 
@@ -80,6 +80,8 @@ pub struct Status {
     pub fresh: u64,
     /// Parts that panicked and were started anew.
     pub restarts: u32,
+    /// What was lost on the way.
+    pub drops: Drops,
 }
 
 /// Watches a run from a normal thread; it may allocate and block.
@@ -99,6 +101,10 @@ pub trait Observer {
     /// Something worth a line in a log happened.
     fn trace(&mut self, trace: &Trace) {
         let _ = trace;
+    }
+    /// The last message of a live run has left; no grid follows.
+    fn last_word(&mut self, output: &KeyFrameOutput) {
+        let _ = output;
     }
     /// How it goes, several times a second.
     fn status(&mut self, status: &Status) {
@@ -133,14 +139,16 @@ pub struct RunSummary {
     pub deadline_misses: u64,
     /// Key frames that their own answer answered.
     pub fresh: u64,
-    /// Key frames and frames that the observer was too slow to see.
-    pub unobserved: u64,
+    /// What was lost on the way.
+    pub drops: Drops,
     /// Parts that panicked and were started anew.
     pub restarts: u32,
     /// Allocations made by the real-time threads after their start.
     pub allocations_after_start: u64,
     /// Page faults of warm real-time threads.
     pub page_faults: u64,
+    /// A signal ended it before its camera or its time did.
+    pub is_cut_short: bool,
 }
 
 /// Wheel readings up to this long after a frame's stamp are taken in before the frame: a frame is delivered that much later

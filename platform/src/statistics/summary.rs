@@ -20,8 +20,22 @@ pub struct Drops {
     pub camera: Option<u64>,
     /// Frames displaced by newer ones before they were tracked.
     pub hand_over: Option<u64>,
-    /// Publications that the observer was too slow to see: neither recorded nor measured against truth.
+    /// Publications and frames that the observer was too slow to see: neither recorded nor measured against truth.
     pub unobserved: Option<u64>,
+    /// Instants of the cadence that nothing answered, for the publisher itself did not run.
+    pub unanswered: Option<u64>,
+    /// Answers and announcements that came after their fallback had left.
+    pub late: Option<u64>,
+    /// Views that found the batch of their key frame full.
+    pub rejected_views: Option<u64>,
+}
+
+impl Drops {
+    /// Frames that were lost on their way to the pipeline.
+    #[must_use]
+    pub fn frames(&self) -> u64 {
+        [self.camera, self.hand_over].iter().flatten().sum()
+    }
 }
 
 /// Names with their counts, in a fixed order; a name that is absent has the count zero.
@@ -150,12 +164,20 @@ impl fmt::Display for Status<'_> {
                 write!(f, ", {} {count}", level.name())?;
             }
         }
-        let lost = [statistics.drops.camera, statistics.drops.hand_over];
         write!(
             f,
             ", {} frames, {} dropped",
             statistics.frames,
-            lost.iter().flatten().sum::<u64>()
-        )
+            statistics.drops.frames()
+        )?;
+        for (name, count) in [
+            ("unanswered", statistics.drops.unanswered),
+            ("late", statistics.drops.late),
+        ] {
+            if let Some(count) = count.filter(|count| *count > 0) {
+                write!(f, ", {count} {name}")?;
+            }
+        }
+        Ok(())
     }
 }

@@ -92,10 +92,13 @@ fn the_status_is_one_line() {
         camera: Some(2),
         hand_over: None,
         unobserved: Some(1),
+        unanswered: Some(0),
+        late: Some(3),
+        rejected_views: None,
     });
     assert_eq!(
         statistics.status().to_string(),
-        "10 key frames, 1 misses, capture to publish p50 80 p99 480 max 480 ms, full 9, moved 1, 10 frames, 2 dropped"
+        "10 key frames, 1 misses, capture to publish p50 80 p99 480 max 480 ms, full 9, moved 1, 10 frames, 2 dropped, 3 late"
     );
     assert_eq!(
         DriveStatistics::new().status().to_string(),

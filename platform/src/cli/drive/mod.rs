@@ -158,16 +158,18 @@ pub(in crate::cli) fn run_live(
     observer: &mut dyn Observer,
 ) -> Result<RunSummary, Failure> {
     let internal = |error: &dyn std::error::Error| Failure::Internal(miette::miette!("{error}"));
-    stop_on_signals(stop).map_err(|error| internal(&error))?;
+    let request = stop_on_signals(stop).map_err(|error| internal(&error))?;
     runtime::hush_real_time_panics();
-    runtime::run_live(setup, stop, observer).map_err(|error| {
+    let mut summary = runtime::run_live(setup, stop, observer).map_err(|error| {
         if let RunError::Hung(_) = error {
             // The hanging thread would meet the libraries' destructors at an ordinary end.
             terminal::tell(format_args!("freespace: {error}"));
             end_at_once(HUNG);
         }
         internal(&error)
-    })
+    })?;
+    summary.is_cut_short = request.is_made();
+    Ok(summary)
 }
 
 /// Where the cells of a grid lie.

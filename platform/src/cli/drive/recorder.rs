@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use freespace::frame::Camera;
-use freespace::pipeline::PipelineConfig;
+use freespace::pipeline::{KeyFrameOutput, PipelineConfig};
 use nalgebra::{Point3, Vector3};
 
 use super::layout;
@@ -112,6 +112,12 @@ impl Recorder {
         }
     }
 
+    fn record_can(&mut self, output: &KeyFrameOutput) -> Result<(), RecordingError> {
+        let published = output.stamp.plus(output.latency_micros);
+        self.recording
+            .can_frames(output.stamp, published, &output.can_frames)
+    }
+
     #[expect(clippy::cast_precision_loss, reason = "milliseconds")]
     fn record(&mut self, report: &KeyFrameReport<'_>) -> Result<(), RecordingError> {
         let output = report.output;
@@ -199,13 +205,20 @@ impl Observer for Recorder {
         self.watch.trace(trace);
     }
 
+    fn last_word(&mut self, output: &KeyFrameOutput) {
+        let written = self.record_can(output);
+        self.note(written);
+    }
+
     fn status(&mut self, status: &Status) {
         self.watch.status(status);
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
-        // What answers for an instant without a frame has no picture and no name; it is in the statistics.
+        // What answers for an instant without a frame has no picture and no name: what the bus was told of it is all there is.
         if !report.output.has_frame {
+            let written = self.record_can(report.output);
+            self.note(written);
             return;
         }
         self.upsampler.upsample(&report.output.labels, &mut self.mask);

@@ -6,7 +6,7 @@ use crate::cli::service::Service;
 use crate::cli::terminal;
 use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, Start, Status, Trace};
 use crate::sink::recording::RunCounts;
-use crate::statistics::{DriveStatistics, Drops, Publication};
+use crate::statistics::{DriveStatistics, Publication};
 
 /// What a device has to tell, a line at a time.
 pub(in crate::cli) type DeviceEvents = Box<dyn FnMut() -> Option<String>>;
@@ -41,10 +41,7 @@ impl Watch {
     /// The run in numbers, once it is over.
     pub(in crate::cli) fn finish(mut self, summary: &RunSummary) -> (RunCounts, DriveStatistics) {
         self.progress.end();
-        self.statistics.set_drops(Drops {
-            unobserved: Some(summary.unobserved),
-            ..Drops::default()
-        });
+        self.statistics.set_drops(summary.drops);
         let counts = RunCounts {
             key_frames: summary.key_frames,
             deadline_misses: summary.deadline_misses,
@@ -56,6 +53,7 @@ impl Watch {
             peak_rss_mb: peak_rss_mb(),
             memory: (self.memory.as_ref()).map(|memory| memory.finish(summary.page_faults)),
             restarts: summary.restarts,
+            is_cut_short: summary.is_cut_short,
         };
         (counts, self.statistics)
     }
@@ -101,6 +99,7 @@ impl Observer for Watch {
     }
 
     fn status(&mut self, status: &Status) {
+        self.statistics.set_drops(status.drops);
         self.service.status(status, &self.statistics);
         self.tell_device_events();
         if let Some(memory) = &mut self.memory {

@@ -45,7 +45,7 @@ impl CameraThread {
                 // The publisher answers for the key frames that do not come.
                 CameraAnswer::Silent => self.buffers.push(buffer),
                 CameraAnswer::Lost => {
-                    Counters::add(&self.shared.counters.dropped_frames, 1);
+                    Counters::add(&self.shared.counters.lost_frames, 1);
                     self.buffers.push(buffer);
                 }
                 CameraAnswer::Frame => {
@@ -94,7 +94,7 @@ impl CameraThread {
             if is_started {
                 let now = shared.clock.now();
                 let skipped = camera.skip_before(now);
-                Counters::add(&shared.counters.dropped_frames, skipped);
+                Counters::add(&shared.counters.displaced_frames, skipped);
                 if skipped > 0 {
                     // They were captured, and this thread came too late for them.
                     shared.captured.set(now);
@@ -121,7 +121,7 @@ impl CameraThread {
         let Some(displaced) = self.shared.frames.post(buffer) else {
             return;
         };
-        Counters::add(&self.shared.counters.dropped_frames, 1);
+        Counters::add(&self.shared.counters.displaced_frames, 1);
         // A wish for a key frame outlives the frame that carried it.
         if displaced.key_frame_wanted && !is_wanted {
             self.shared.key_frame_wanted.store(true, Ordering::Relaxed);

@@ -70,7 +70,7 @@ impl FrameThread {
             // There is room for every buffer.
             let _ = self.returned.push(buffer);
             let Some(outcome) = outcome else {
-                Counters::add(&self.shared.counters.dropped_frames, 1);
+                Counters::add(&self.shared.counters.lost_frames, 1);
                 // A wish for a key frame outlives the frame that carried it.
                 self.shared
                     .key_frame_wanted
@@ -78,6 +78,7 @@ impl FrameThread {
                 continue;
             };
             Counters::add(&self.shared.counters.frames, 1);
+            (self.shared.counters.rejected_views).store(self.task.rejected_views(), Ordering::Relaxed);
             let report = FrameReport {
                 index,
                 stamp,

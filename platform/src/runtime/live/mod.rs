@@ -36,6 +36,7 @@ use super::restart::Restarts;
 use super::rights::{self, Lack, RealTimeConfig, ThreadRole, lock_memory, thread_builder};
 use super::{Observer, RunError, RunSummary, Setup, Start};
 use crate::clock::MonotonicClock;
+use crate::statistics::Drops;
 use assembly::Threads;
 #[cfg(test)]
 pub(in crate::runtime) use observe::LAST_WORD;
@@ -91,18 +92,36 @@ impl Newest {
 /// Counters that several threads add to.
 #[derive(Default)]
 struct Counters {
-    dropped_frames: AtomicU64,
+    /// Frames that the camera lost, or that were refused.
+    lost_frames: AtomicU64,
+    /// Frames that newer ones overtook.
+    displaced_frames: AtomicU64,
     frames: AtomicU64,
     key_frames: AtomicU64,
     misses: AtomicU64,
     fresh: AtomicU64,
     unobserved: AtomicU64,
+    unanswered: AtomicU64,
+    late: AtomicU64,
+    rejected_views: AtomicU64,
     page_faults: AtomicU64,
 }
 
 impl Counters {
     fn add(counter: &AtomicU64, count: u64) {
         counter.fetch_add(count, Ordering::Relaxed);
+    }
+
+    fn drops(&self) -> Drops {
+        let count = |counter: &AtomicU64| Some(counter.load(Ordering::Relaxed));
+        Drops {
+            camera: count(&self.lost_frames),
+            hand_over: count(&self.displaced_frames),
+            unobserved: count(&self.unobserved),
+            unanswered: count(&self.unanswered),
+            late: count(&self.late),
+            rejected_views: count(&self.rejected_views),
+        }
     }
 }
 
@@ -229,16 +248,19 @@ impl Shared {
 
     fn summary(&self, allocations_after_start: u64) -> RunSummary {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let drops = self.counters.drops();
         RunSummary {
             frames: count(&self.counters.frames),
-            dropped_frames: count(&self.counters.dropped_frames),
+            dropped_frames: drops.frames(),
             key_frames: count(&self.counters.key_frames),
             deadline_misses: count(&self.counters.misses),
             fresh: count(&self.counters.fresh),
-            unobserved: count(&self.counters.unobserved),
+            drops,
             restarts: self.restarts.count(),
             allocations_after_start,
             page_faults: count(&self.counters.page_faults),
+            // Only who installed the signals knows.
+            is_cut_short: false,
         }
     }
 }

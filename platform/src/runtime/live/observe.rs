@@ -18,6 +18,8 @@ use super::Shared;
 
 /// A publication on loan.
 pub(super) struct Observation {
+    /// The last message, which no key frame asked for.
+    pub(super) is_last_word: bool,
     pub(super) job: Option<Box<KeyFrameJob>>,
     pub(super) output: Box<KeyFrameOutput>,
 }
@@ -87,11 +89,15 @@ impl ObserverThread {
         }
         while let Ok(observation) = self.seen.pop() {
             let output = &observation.output;
-            observer.key_frame(&KeyFrameReport {
-                index: output.frame,
-                job: observation.job.as_deref(),
-                output,
-            });
+            if observation.is_last_word {
+                observer.last_word(output);
+            } else {
+                observer.key_frame(&KeyFrameReport {
+                    index: output.frame,
+                    job: observation.job.as_deref(),
+                    output,
+                });
+            }
             // There is room for whatever was lent.
             let _ = self.returned.push(observation);
             self.shared.publisher_bell.ring();
@@ -105,9 +111,11 @@ impl ObserverThread {
 
     fn status(&self) -> Status {
         let counters = &self.shared.counters;
+        let drops = counters.drops();
         Status {
             frames: counters.frames.load(Ordering::Relaxed),
-            dropped_frames: counters.dropped_frames.load(Ordering::Relaxed),
+            dropped_frames: drops.frames(),
+            drops,
             key_frames: counters.key_frames.load(Ordering::Relaxed),
             deadline_misses: counters.misses.load(Ordering::Relaxed),
             fresh: counters.fresh.load(Ordering::Relaxed),

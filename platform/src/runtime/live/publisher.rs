@@ -81,6 +81,7 @@ impl PublisherThread {
                 self.shared.clock.now()
             };
             self.fall_back(until);
+            self.count();
             if is_over {
                 break;
             }
@@ -213,10 +214,19 @@ impl PublisherThread {
             let clock = &self.shared.clock;
             let task = &mut self.task;
             self.shared.publisher_progress.enter(Stage::Emit);
-            if guarded(|| task.shut_down(clock.now(), &mut output, clock)).is_ok() {
+            let is_made = guarded(|| task.shut_down(clock.now(), &mut output, clock)).is_ok();
+            if is_made {
                 self.send(&output);
             }
             self.shared.publisher_progress.rest();
+            if is_made {
+                // It is not waited for: an observer that holds all it may hold does not see it.
+                let _ = self.seen.push(Observation {
+                    is_last_word: true,
+                    job: None,
+                    output,
+                });
+            }
         }
         self.shared.is_published.store(true, Ordering::Release);
         self.shared.observer_bell.ring();
@@ -241,31 +251,44 @@ impl PublisherThread {
         }
     }
 
+    fn count(&self) {
+        let counters = &self.shared.counters;
+        (counters.unanswered).store(self.task.unanswered(), Ordering::Relaxed);
+        counters.late.store(self.task.late(), Ordering::Relaxed);
+    }
+
     /// Counts a publication and lends it to the observer, if that holds few enough and another output is at hand.
     fn show(&mut self, job: Option<Box<KeyFrameJob>>, output: Box<KeyFrameOutput>) {
         let counters = &self.shared.counters;
         Counters::add(&counters.key_frames, 1);
         Counters::add(&counters.misses, u64::from(output.is_miss()));
         counters.fresh.store(self.task.fresh(), Ordering::Relaxed);
-        if self.publications.push(Publication::of(&output)).is_err() {
-            Counters::add(&counters.unobserved, 1);
-        }
-        if self.lent < LENT && !self.outputs.is_empty() {
-            match self.seen.push(Observation { job, output }) {
-                Ok(()) => {
-                    self.lent += 1;
-                    self.shared.observer_bell.ring();
-                }
-                Err(rtrb::PushError::Full(back)) => self.unseen(back),
-            }
-        } else {
-            self.unseen(Observation { job, output });
+        let is_told = self.publications.push(Publication::of(&output)).is_ok();
+        let observation = Observation {
+            is_last_word: false,
+            job,
+            output,
+        };
+        let kept = self.lend(observation);
+        // Once, whatever of it was not seen.
+        let is_unobserved = !is_told || kept.is_some();
+        Counters::add(&self.shared.counters.unobserved, u64::from(is_unobserved));
+        if let Some(observation) = kept {
+            self.free(observation.job, Some(observation.output));
         }
     }
 
-    fn unseen(&mut self, observation: Observation) {
-        Counters::add(&self.shared.counters.unobserved, 1);
-        self.free(observation.job, Some(observation.output));
+    /// Gives back what is not lent.
+    fn lend(&mut self, observation: Observation) -> Option<Observation> {
+        if self.lent == LENT || self.outputs.is_empty() {
+            return Some(observation);
+        }
+        if let Err(rtrb::PushError::Full(back)) = self.seen.push(observation) {
+            return Some(back);
+        }
+        self.lent += 1;
+        self.shared.observer_bell.ring();
+        None
     }
 
     fn take_back(&mut self) {

@@ -8,4 +8,4 @@ mod stop;
 mod unit_tests;
 
 pub use notify::{Notifier, STATUS_BYTES, Watchdog};
-pub use stop::{end_at_once, stop_on_signals};
+pub use stop::{StopRequest, end_at_once, stop_on_signals};

@@ -261,12 +261,25 @@ impl Recording {
         let published = record
             .stamp
             .plus((record.publish_latency_ms.max(0.0) * 1e3) as u64);
+        self.can_frames(record.stamp, published, record.can_frames)
+    }
+
+    /// Adds the frames of a publication that has no picture: its fallback, or the last word.
+    ///
+    /// # Errors
+    /// Where a file cannot be written.
+    pub fn can_frames(
+        &mut self,
+        stamp: Micros,
+        published: Micros,
+        frames: &[CanFrame],
+    ) -> Result<(), RecordingError> {
         let stamp = if self.title.is_reproducible {
-            record.stamp
+            stamp
         } else {
             published
         };
-        for frame in record.can_frames {
+        for frame in frames {
             let log = &mut self.can_log;
             let mut row = || -> io::Result<()> {
                 write!(log, "({}) can0 {:03X}#", Seconds(stamp), frame.id)?;

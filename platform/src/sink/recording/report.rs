@@ -26,6 +26,8 @@ pub struct RunCounts {
     pub memory: Option<LiveMemory>,
     /// Parts that panicked and were started anew.
     pub restarts: u32,
+    /// A signal ended the run before its end.
+    pub is_cut_short: bool,
 }
 
 /// The process's memory while a live run went on.
@@ -79,6 +81,8 @@ pub struct Report {
     pub drops: Drops,
     /// Parts that panicked and were started anew.
     pub restarts: u32,
+    /// A signal ended the run before its end.
+    pub is_cut_short: bool,
     /// Largest resident memory.
     pub peak_rss_mb: Option<f64>,
     /// Memory while it ran; null where it did not run live.
@@ -112,6 +116,7 @@ impl Report {
             scale: statistics.scale(),
             drops: statistics.drops(),
             restarts: counts.restarts,
+            is_cut_short: counts.is_cut_short,
             peak_rss_mb: counts.peak_rss_mb,
             memory: counts.memory,
             truth,

@@ -106,6 +106,7 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
         peak_rss_mb: None,
         memory: None,
         restarts: 0,
+        is_cut_short: true,
     };
     recording.finish(&counts, &statistics, None)
 }
@@ -134,6 +135,7 @@ fn recording_holds_what_it_promises() {
     assert_eq!(report["misses_by_stage"]["unknown"], 1);
     assert_eq!(report["faults"]["deadline_missed"], 1);
     assert!(report["frame_ms"].is_null() && report["drops"]["hand_over"].is_null());
+    assert_eq!(report["is_cut_short"], true);
     assert!(report["truth"].is_null() && report["peak_rss_mb"].is_null());
 
     let mask = image::open(dir.join("masks/000000.png")).unwrap().into_luma8();
