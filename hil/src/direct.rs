@@ -66,6 +66,8 @@ pub(crate) fn case(rig: &Rig) -> Result<Seen, BenchError> {
     let direct = replay(rig, &road, frames, &log, &times_of(&record)?)?;
     compare(&record, &direct, &mut seen)?;
     std::fs::copy(record.join("report.json"), rig.file("report.json"))?;
+    std::fs::copy(record.join("trajectory.tum"), rig.file("trajectory.tum"))?;
+    std::fs::copy(record.join("timing.csv"), rig.file("timing.csv"))?;
     std::fs::remove_dir_all(&record)?;
     Ok(seen)
 }

@@ -41,14 +41,17 @@ pub(crate) enum FeedError {
     Thread(#[from] std::io::Error),
 }
 
+/// Puts the next picture in place of the one it is given; false at the end.
+pub(crate) type NextPicture = Box<dyn FnMut(&mut Vec<u8>) -> bool + Send>;
+
 /// What is fed: pictures and wheel counts by their numbers, until there are no more.
 pub(crate) struct Show {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) rate_hz: f64,
     pub(crate) wheel_period_micros: u64,
-    /// Puts the next picture, YUYV, in place of the one it is given; may wait until it is made. False at the end.
-    pub(crate) picture: Box<dyn FnMut(&mut Vec<u8>) -> bool + Send>,
+    /// YUYV; may wait until it is made.
+    pub(crate) picture: NextPicture,
     pub(crate) counts: Box<dyn FnMut(u64) -> Option<[u32; 4]> + Send>,
 }
 
@@ -178,7 +181,7 @@ struct CameraFeed {
     width: usize,
     height: usize,
     rate_hz: f64,
-    picture: Box<dyn FnMut(&mut Vec<u8>) -> bool + Send>,
+    picture: NextPicture,
     device: PathBuf,
     output: Option<Device>,
     last: Vec<u8>,

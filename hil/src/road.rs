@@ -123,10 +123,7 @@ impl Road {
         for number in 0.. {
             let mut bytes = given_back.try_recv().unwrap_or_default();
             bytes.resize(2 * self.camera.width * self.camera.height, 0);
-            if !tape
-                .as_mut()
-                .is_some_and(|tape| tape.read_exact(&mut bytes).is_ok())
-            {
+            if !tape.as_mut().is_some_and(|tape| next_of(tape, &mut bytes)) {
                 tape = None;
                 camera.render(&self.world, self.picture_seconds(number), &mut picture);
                 yuyv(picture.pixels(), &mut bytes);
@@ -147,6 +144,16 @@ impl Road {
 )]
 pub(crate) fn picture_micros(number: u64, rate_hz: f64) -> u64 {
     (number as f64 / rate_hz * 1e6).round() as u64
+}
+
+/// Reads the next picture, and lets the kernel forget it: a drive would fill the memory of a small guest.
+fn next_of(tape: &mut File, bytes: &mut [u8]) -> bool {
+    if tape.read_exact(bytes).is_err() {
+        return false;
+    }
+    // What is not forgotten is reclaimed later, at a worse time.
+    let _ = rustix::fs::fadvise(&*tape, 0, None, rustix::fs::Advice::DontNeed);
+    true
 }
 
 /// A black picture.

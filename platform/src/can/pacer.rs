@@ -36,11 +36,15 @@ impl Pacer {
         }
     }
 
-    /// When a frame of `frame_ns` on the bus may go, where that is later than `now_ns`.
+    /// When a frame of `frame_ns` on the bus may go, where that is later than `now_ns`: once the burst before it has nearly left,
+    /// for a wake-up a burst costs a sixth of one a frame.
     pub(super) fn wait_until(&self, now_ns: u64, frame_ns: u64) -> Option<u64> {
-        let burst = (BURST_FRAMES - 1) * self.spread(frame_ns);
-        let at = self.free_ns.saturating_sub(burst).max(self.retry_ns);
-        (at > now_ns).then_some(at)
+        let frame = self.spread(frame_ns);
+        let full = self
+            .free_ns
+            .saturating_sub((BURST_FRAMES - 1) * frame)
+            .max(self.retry_ns);
+        (full > now_ns).then(|| full.max(self.free_ns.saturating_sub(frame)))
     }
 
     /// A frame was taken by the queue.
