@@ -2,9 +2,9 @@
 //!
 //! In: a [`CanPlan`]; frames of the wheel message; publications through the sink. Out: readings stamped on `CLOCK_MONOTONIC`, in
 //! order; frames on the bus, paced; counters and events. Invariant: after the start the thread allocates nothing and waits
-//! [`IDLE_NS`] at most; an interface that is absent, down, off the bus, removed or created again is lived through. Cost: per
+//! `IDLE_NS` at most; an interface that is absent, down, off the bus, removed or created again is lived through. Cost: per
 //! wheel message one wake-up, one system call and one decoding; the kernel keeps all other messages away.
-//! Full: a reading that finds [`READINGS`] others waiting is dropped and counted; a publication that does not fit is refused.
+//! Full: a reading that finds `READINGS` others waiting is dropped and counted; a publication that does not fit is refused.
 //! Files: `socket` is the kernel's, behind the traits of `wire`; `link` is the life of an interface; `stamp`, `pacer`, `back_off`,
 //! `outbox` and `reports` are its parts, testable without a kernel.
 

@@ -44,7 +44,7 @@ impl StopRequest {
     }
 }
 
-/// Sets `stop` at the first SIGTERM or SIGINT; a second one, of either kind, that comes at least [`ONE_REQUEST_MS`] later ends
+/// Sets `stop` at the first SIGTERM or SIGINT; a second one, of either kind, that comes at least `ONE_REQUEST_MS` later ends
 /// the process at once with 128 + its number.
 ///
 /// # Errors
