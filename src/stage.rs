@@ -72,6 +72,28 @@ impl StageTimes {
     }
 }
 
+/// Where the clock cut the work on a key frame short; what a replay needs to cut it at the same places.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Cuts {
+    /// Stages that might not start, for it was too late: one bit each.
+    pub refused: u8,
+    /// Quanta of refinement after which each stage was stopped; none where it came to its own end.
+    pub stopped_after: [Option<u16>; Stage::ALL.len()],
+}
+
+impl Cuts {
+    /// Whether a stage might not start.
+    #[must_use]
+    pub const fn is_refused(&self, stage: Stage) -> bool {
+        self.refused & (1 << stage as u8) != 0
+    }
+
+    /// Notes that a stage may not start.
+    pub const fn refuse(&mut self, stage: Stage) {
+        self.refused |= 1 << stage as u8;
+    }
+}
+
 /// Sees a task enter its stages: live so that the publisher knows whom to blame, in tests so that stages can be made to
 /// fail, hang or panic.
 pub trait StageProbe {
@@ -79,6 +101,17 @@ pub trait StageProbe {
     fn enter(&self, stage: Stage) -> bool;
     /// The task waits for work.
     fn rest(&self);
+    /// Whether `stage` may start, where that was decided before: in a replay, by the drive that was recorded. None where the
+    /// clock decides.
+    fn may_start(&self, stage: Stage) -> Option<bool> {
+        let _ = stage;
+        None
+    }
+    /// Whether the refinement of `stage` is over, `quanta` of it made; as [`StageProbe::may_start`].
+    fn is_over(&self, stage: Stage, quanta: u16) -> Option<bool> {
+        let _ = (stage, quanta);
+        None
+    }
 }
 
 /// Nobody watches.
@@ -149,6 +182,14 @@ impl<P: StageProbe + ?Sized> StageProbe for &P {
 
     fn rest(&self) {
         (**self).rest();
+    }
+
+    fn may_start(&self, stage: Stage) -> Option<bool> {
+        (**self).may_start(stage)
+    }
+
+    fn is_over(&self, stage: Stage, quanta: u16) -> Option<bool> {
+        (**self).is_over(stage, quanta)
     }
 }
 

@@ -22,6 +22,7 @@ fn main() -> ExitCode {
         Command::Demo(args) => cli::run_demo(&args),
         Command::Can(command) => cli::run_can(&command),
         Command::Calibrate(command) => cli::run_calibrate(&command),
+        Command::Monitor(args) => cli::run_monitor(&args),
         Command::Doctor(args) => cli::run_doctor(&args),
     };
     cli::finish(result)

@@ -9,7 +9,7 @@ use crate::grid::{Boundary, Grid};
 use crate::health::{Blame, Faults, QualityLevel, ScaleState, TrackingState};
 use crate::priors::Priors;
 use crate::space::{Micros, Plane, Pose};
-use crate::stage::StageTimes;
+use crate::stage::{Cuts, StageTimes};
 
 /// Everything a key frame gives.
 #[derive(Clone, Debug)]
@@ -60,6 +60,8 @@ pub struct KeyFrameOutput {
     pub can_frames: heapless::Vec<CanFrame, FRAMES>,
     /// Time spent in each stage.
     pub times: StageTimes,
+    /// Where the clock cut the work short.
+    pub cuts: Cuts,
     /// Number of the publication, from 0; set when it leaves.
     pub publication: u64,
     /// From capture to publication; set when it leaves.
@@ -96,6 +98,7 @@ impl KeyFrameOutput {
             boundary: Boundary::new(0.0, 0.0),
             landmarks: 0,
             times: StageTimes::default(),
+            cuts: Cuts::default(),
             publication: 0,
             latency_micros: 0,
         })
@@ -129,6 +132,7 @@ impl KeyFrameOutput {
         self.plane_in_camera = other.plane_in_camera;
         self.landmarks = other.landmarks;
         self.times = other.times;
+        self.cuts = other.cuts;
     }
 
     /// Forgets what an earlier key frame left: nothing is known yet.
@@ -143,6 +147,7 @@ impl KeyFrameOutput {
         self.tracking = TrackingState::DeadReckoning;
         self.speed_mps = 0.0;
         self.times = StageTimes::default();
+        self.cuts = Cuts::default();
     }
 
     /// Whether something else than the awaited answer left, or it left late.

@@ -173,6 +173,7 @@ impl KeyFrameTask {
         output.level = level;
         output.blame = suspect.map(|stage| self.blame(&watch.times, level, stage));
         output.times = watch.times;
+        output.cuts = watch.cuts();
         Ok(())
     }
 

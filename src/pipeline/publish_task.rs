@@ -220,6 +220,7 @@ impl PublishTask {
         output.sequence = due.announcement.map_or(0, |announced| announced.sequence);
         output.frame = due.announcement.map_or(0, |announced| announced.frame);
         output.times = crate::stage::StageTimes::default();
+        output.cuts = crate::stage::Cuts::default();
     }
 
     /// Where the car is if it goes on as it went between the last two key frames.

@@ -1,12 +1,15 @@
 //! One key frame's way through the stages: may they start, is their slice over, how long did they take.
 //!
-//! Invariant: at [`Pace::Reproducible`] the clock decides nothing, it only measures. Cost: a clock reading a stage and quantum.
+//! Invariant: at [`Pace::Reproducible`] the clock decides nothing, it only measures; what the probe knows to be decided the
+//! clock does not decide either. What was cut short is noted. Cost: a clock reading a stage and quantum.
+
+use core::cell::Cell;
 
 use super::{KeyFrameJob, Pace};
 use crate::deadline::Slices;
 use crate::port::Clock;
 use crate::space::Micros;
-use crate::stage::{Stage, StageProbe, StageTimes};
+use crate::stage::{Cuts, Stage, StageProbe, StageTimes};
 
 pub(super) struct Stopwatch<'a, C, P> {
     clock: &'a C,
@@ -15,6 +18,9 @@ pub(super) struct Stopwatch<'a, C, P> {
     pace: Pace,
     stamp: Micros,
     begin: Micros,
+    /// Quanta of refinement that the stage entered last has made.
+    quanta: Cell<u16>,
+    cuts: Cell<Cuts>,
     pub(super) times: StageTimes,
 }
 
@@ -27,6 +33,8 @@ impl<'a, C: Clock, P: StageProbe> Stopwatch<'a, C, P> {
             pace,
             stamp: job.stamp,
             begin: clock.now(),
+            quanta: Cell::new(0),
+            cuts: Cell::new(Cuts::default()),
             times: job.times,
         }
     }
@@ -34,6 +42,7 @@ impl<'a, C: Clock, P: StageProbe> Stopwatch<'a, C, P> {
     /// Enters a stage; false where it fails.
     pub(super) fn enter(&mut self, stage: Stage) -> bool {
         let is_sound = self.probe.enter(stage);
+        self.quanta.set(0);
         self.begin = self.clock.now();
         is_sound
     }
@@ -45,7 +54,15 @@ impl<'a, C: Clock, P: StageProbe> Stopwatch<'a, C, P> {
 
     /// Whether a stage may still start.
     pub(super) fn has_time_for(&self, stage: Stage) -> bool {
-        self.pace == Pace::Reproducible || self.slices.may_start(stage, self.stamp, self.clock.now())
+        let may = self.pace == Pace::Reproducible
+            || (self.probe.may_start(stage))
+                .unwrap_or_else(|| self.slices.may_start(stage, self.stamp, self.clock.now()));
+        if !may {
+            let mut cuts = self.cuts.get();
+            cuts.refuse(stage);
+            self.cuts.set(cuts);
+        }
+        may
     }
 
     /// Leaves a stage: the time since it was entered is its own.
@@ -79,8 +96,23 @@ impl<'a, C: Clock, P: StageProbe> Stopwatch<'a, C, P> {
         (self.pace == Pace::Real).then_some(end)
     }
 
-    /// Whether it has ended.
+    /// Whether the refinement of a stage has ended; asked before each quantum.
     pub(super) fn is_over(&self, stage: Stage) -> bool {
-        self.pace == Pace::Real && self.clock.now() >= self.end_of(stage)
+        let quanta = self.quanta.get();
+        let is_over = self.pace == Pace::Real
+            && (self.probe.is_over(stage, quanta)).unwrap_or_else(|| self.clock.now() >= self.end_of(stage));
+        if is_over {
+            let mut cuts = self.cuts.get();
+            cuts.stopped_after[stage as usize] = Some(quanta);
+            self.cuts.set(cuts);
+        } else {
+            self.quanta.set(quanta.saturating_add(1));
+        }
+        is_over
+    }
+
+    /// What was cut short so far.
+    pub(super) const fn cuts(&self) -> Cuts {
+        self.cuts.get()
     }
 }

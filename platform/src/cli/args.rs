@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use super::CalibrateCommand;
+use super::{CalibrateCommand, MonitorArgs};
 use crate::camera::replay::KeyFrameRule;
 use crate::eval::masks::TruthKind;
 
@@ -37,6 +37,8 @@ pub enum Command {
     Demo(DemoArgs),
     /// Run recorded frames, and a CAN log, through the full pipeline.
     Replay(ReplayArgs),
+    /// Watch a module of this computer: terminal view, web page, metrics.
+    Monitor(MonitorArgs),
     /// Compare results with truth.
     #[command(subcommand)]
     Eval(EvalCommand),
@@ -107,6 +109,7 @@ pub struct CanLoadArgs {
 Examples:
   freespace run --config /etc/freespace/car.toml
   freespace run --config car.toml --seconds 60 --record out/drive
+  freespace run --config car.toml --mcap /data/drives --split-s 60
 
 A camera or bus that is not there yet is waited for, and every message says so.")]
 pub struct RunArgs {
@@ -119,6 +122,9 @@ pub struct RunArgs {
     /// Folder for pictures, grids and report; new, empty, or of an earlier run, which is replaced.
     #[arg(long, value_name = "DIR")]
     pub record: Option<PathBuf>,
+    /// Recording of the drive in MCAP.
+    #[command(flatten)]
+    pub mcap: McapArgs,
     /// Print the report as JSON in place of the table.
     #[arg(long)]
     pub json: bool,
@@ -151,6 +157,7 @@ pub struct DoctorArgs {
 Examples:
   freespace demo
   freespace demo --seconds 60 --seed 7 --out out/demo7
+  freespace demo --mcap out/demo.mcap
   freespace demo --seed 3 --pace fast --out out/demo3")]
 pub struct DemoArgs {
     /// Length of the drive in seconds.
@@ -168,6 +175,9 @@ pub struct DemoArgs {
     /// Frames at the pace of their stamps, or as fast as they are worked off (same seed, same bytes out).
     #[arg(long, value_enum, default_value_t = Pace::Real)]
     pub pace: Pace,
+    /// Recording of the drive in MCAP.
+    #[command(flatten)]
+    pub mcap: McapArgs,
     /// Print the report as JSON in place of the table.
     #[arg(long)]
     pub json: bool,
@@ -179,13 +189,15 @@ pub struct DemoArgs {
 Examples:
   freespace replay drive --config config/kitti.toml --can drive/wheel.candump --out out/drive
   freespace replay clip --config config/camvid.toml --out out/clip --pace fast --truth-masks clip_truth --truth camvid
-  freespace replay drive --config config/kitti.toml --out out/2d --ablate 2d --key-frames labelled.txt")]
+  freespace replay drive --config config/kitti.toml --out out/2d --ablate 2d --key-frames labelled.txt
+  freespace replay drive.mcap --timing recorded --out out/again")]
 pub struct ReplayArgs {
-    /// KITTI odometry folder (image_0/ or images/, times.txt, calib.txt) or a folder of PNG or JPEG files.
+    /// KITTI odometry folder (image_0/ or images/, times.txt, calib.txt), a folder of PNG or JPEG files, or a drive recorded
+    /// with --mcap (its first file, or the folder that holds drive.mcap).
     pub source: PathBuf,
-    /// Vehicle and camera.
-    #[arg(long, value_name = "FILE", default_value = "config/kitti.toml")]
-    pub config: PathBuf,
+    /// Vehicle and camera; config/kitti.toml without it, of a recorded drive the configuration that it was recorded with.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
     /// candump log with the wheel message that the configuration describes.
     #[arg(long, value_name = "LOG")]
     pub can: Option<PathBuf>,
@@ -195,6 +207,10 @@ pub struct ReplayArgs {
     /// Frames at the pace of their stamps, or as fast as they are worked off (same input, same bytes out).
     #[arg(long, value_enum, default_value_t = Pace::Real)]
     pub pace: Pace,
+    /// Whose time decides what it is too late for: nobody's, or that of the recorded drive, which degraded where it did; as fast
+    /// as it goes then.
+    #[arg(long, value_enum, default_value_t = Timing::Own)]
+    pub timing: Timing,
     /// Every Nth frame, or a file of frame names that are key frames besides those of the configured interval.
     #[arg(long, value_name = "every=N|FILE")]
     pub key_frames: Option<KeyFrameRule>,
@@ -204,6 +220,9 @@ pub struct ReplayArgs {
     /// Truth to compare with.
     #[command(flatten)]
     pub truth: TruthArgs,
+    /// Recording of the drive in MCAP.
+    #[command(flatten)]
+    pub mcap: McapArgs,
     /// Print the report as JSON in place of the table.
     #[arg(long)]
     pub json: bool,
@@ -230,6 +249,30 @@ pub enum Pace {
     Real,
     /// As fast as it goes.
     Fast,
+}
+
+/// Whose time decides in a replay.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Timing {
+    /// That of this run, at its pace.
+    Own,
+    /// That of the recorded drive.
+    Recorded,
+}
+
+/// Where a drive is recorded in MCAP.
+#[derive(Clone, Debug, Default, Args)]
+pub struct McapArgs {
+    /// Record every frame, wheel reading and answer in MCAP: a file that ends in .mcap, or a folder. For a replay, and for
+    /// Foxglove's viewer; 28 MB a second at 640x480 in colour.
+    #[arg(long, value_name = "FILE|DIR")]
+    pub mcap: Option<PathBuf>,
+    /// Begin a new file after so many megabytes.
+    #[arg(long, value_name = "N", requires = "mcap", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub split_mb: Option<u64>,
+    /// Begin a new file after so many seconds.
+    #[arg(long, value_name = "N", requires = "mcap", value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    pub split_s: Option<u64>,
 }
 
 /// What an ablation keeps.

@@ -8,7 +8,7 @@ use freespace::pipeline::{Cadence, KeyFrameOutput};
 use freespace::port::WheelPort;
 use freespace::space::{Micros, Pose};
 
-use super::drive::{self, Progress, Recorded, Recorder, Watch};
+use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
 use super::{DemoArgs, Failure, Pace, table};
 use crate::camera::{SimFrames, seconds_at};
 use crate::clock::MonotonicClock;
@@ -83,7 +83,16 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     )]
     let period_micros = (config.key_frames.interval_s * 1e6) as u64;
     let pipeline = drive::pipeline_config(&config, camera, odometer, Cadence::Micros(period_micros));
-    let watch = Watch::new(Progress::new(Some(frames.len())));
+    let mut watch = Watch::new(Progress::new(Some(frames.len())));
+    let mut log = DriveLog::open(
+        &args.mcap,
+        args.pace,
+        &config,
+        &pipeline,
+        &mut network.plan,
+        &mut watch,
+    )?;
+    watch.show((network.plan).measure_library("view", || ViewFeed::open(&config, &pipeline, args.pace)));
     let mut judge = (network.plan).measure("recording and truth", || Judge {
         recorder: Recorder::new(recording, &pipeline, BTreeMap::new(), watch),
         truth: frames.camera().clone(),
@@ -94,13 +103,13 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         pixels: PixelCount::default(),
         masks: 0,
     });
-    let devices = Devices {
+    let devices = log.tap(Devices {
         camera: Box::new(frames),
         wheels,
         segmenter: network.segmenter,
         tiles: drive::tiles(&config, &camera),
         sinks,
-    };
+    });
     let summary = drive::run(
         Setup {
             config: pipeline,
@@ -111,8 +120,9 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
             clock: MonotonicClock::default(),
         },
         args.pace,
-        &mut judge,
+        &mut log.noted(&mut judge),
     )?;
+    log.finish();
     let truth = judge.truth();
     let Recorded {
         mut recording,

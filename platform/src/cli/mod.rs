@@ -12,15 +12,17 @@ mod drive;
 mod eval;
 mod failure;
 mod memory_watch;
+mod monitor;
 mod replay;
+mod replay_drive;
 mod run;
 mod service;
 mod table;
 mod terminal;
 
 pub use args::{
-    Ablation, CanCommand, CanDecodeArgs, CanLoadArgs, Cli, Command, DemoArgs, DoctorArgs, EvalCommand, Pace,
-    ReplayArgs, RunArgs, TruthArgs,
+    Ablation, CanCommand, CanDecodeArgs, CanLoadArgs, Cli, Command, DemoArgs, DoctorArgs, EvalCommand,
+    McapArgs, Pace, ReplayArgs, RunArgs, Timing, TruthArgs,
 };
 pub use calibrate::run as run_calibrate;
 pub use calibrate_args::{CalibrateCommand, ImportArgs, LensArgs, MountArgs, TicksArgs};
@@ -29,5 +31,6 @@ pub use demo::run as run_demo;
 pub use doctor::run as run_doctor;
 pub use eval::run as run_eval;
 pub use failure::{Failure, finish};
+pub use monitor::{MonitorArgs, run as run_monitor};
 pub use replay::{ReplayInputs, open_inputs, run as run_replay};
 pub use run::run as run_run;

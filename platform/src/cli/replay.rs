@@ -1,6 +1,7 @@
 //! `freespace replay`: a recording through the pipeline. Everything is read and checked before anything is written.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use freespace::crf;
 use freespace::frame::Camera;
@@ -8,9 +9,10 @@ use freespace::pipeline::Cadence;
 use freespace::port::WheelPort;
 use freespace::track::WheelConfig;
 
-use super::drive::{self, Progress, Recorded, Recorder, Watch};
-use super::{Ablation, Failure, Pace, ReplayArgs, table};
+use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
+use super::{Ablation, Failure, Pace, ReplayArgs, Timing, replay_drive, table};
 use crate::bad_input::BadInput;
+use crate::camera::replay::drive::is_drive;
 use crate::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera, ReplayFrames};
 use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
@@ -39,12 +41,13 @@ pub struct ReplayInputs {
 /// # Errors
 /// The first of them that is missing or malformed; nothing has been written then.
 pub fn open_inputs(args: &ReplayArgs) -> Result<ReplayInputs, Failure> {
-    let config = Config::load(&args.config)?;
+    let path = config_path(args);
+    let config = Config::load(&path)?;
     if let Some(log) = &args.can
         && !matches!(config.wheels(), Wheels::Can(_))
     {
         return Err(BadInput::new(
-            format!("--can {} is given, but {} describes no CAN message", log.display(), args.config.display()),
+            format!("--can {} is given, but {} describes no CAN message", log.display(), path.display()),
             "add [wheels] with `source = \"can\"`, dbc, message and signals to the configuration, or leave --can out",
         )
         .into());
@@ -70,6 +73,13 @@ pub fn open_inputs(args: &ReplayArgs) -> Result<ReplayInputs, Failure> {
     })
 }
 
+/// The configuration of a replayed folder.
+fn config_path(args: &ReplayArgs) -> PathBuf {
+    args.config
+        .clone()
+        .unwrap_or_else(|| PathBuf::from("config/kitti.toml"))
+}
+
 /// Wheel readings and what the odometer must know of them.
 type WheelInputs = (Box<dyn WheelPort + Send>, WheelConfig);
 
@@ -87,12 +97,34 @@ fn open_wheels(args: &ReplayArgs, config: &Config) -> Result<Option<WheelInputs>
     Ok(Some((Box::new(readings), wheels.odometer)))
 }
 
+/// What is left out of the energy.
+pub(super) fn ablation(args: &ReplayArgs) -> crf::Ablation {
+    match args.ablate {
+        None => crf::Ablation::Joint,
+        Some(Ablation::Only2d) => crf::Ablation::TwoD,
+        Some(Ablation::Only3d) => crf::Ablation::ThreeD,
+    }
+}
+
 /// Replays a recording.
 ///
 /// # Errors
 /// Bad input, before anything is written; or a folder that cannot be written to.
 pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     drive::check_apart(&args.source, &args.out)?;
+    if is_drive(&args.source) {
+        return replay_drive::run(args);
+    }
+    if args.timing == Timing::Recorded {
+        return Err(BadInput::new(
+            format!(
+                "--timing recorded is given, but {} is no recorded drive",
+                args.source.display()
+            ),
+            "replay a file that was recorded with --mcap, or leave --timing out",
+        )
+        .into());
+    }
     let ReplayInputs {
         mut config,
         frames,
@@ -102,11 +134,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     } = open_inputs(args)?;
     let (wheels, odometer) = open_wheels(args, &config)?.unzip();
     let mut network = drive::open_network(&config)?;
-    config.crf.ablation = match args.ablate {
-        None => crf::Ablation::Joint,
-        Some(Ablation::Only2d) => crf::Ablation::TwoD,
-        Some(Ablation::Only3d) => crf::Ablation::ThreeD,
-    };
+    config.crf.ablation = ablation(args);
     let pipeline = drive::pipeline_config(&config, camera, odometer, Cadence::OnDemand);
     let title = RunTitle {
         title: format!("freespace replay {}", args.source.display()),
@@ -120,15 +148,24 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         .listing()
         .map(|(index, name, _)| (index as u64, name.to_owned()))
         .collect();
-    let watch = Watch::new(Progress::new(Some(frames.len())));
+    let mut watch = Watch::new(Progress::new(Some(frames.len())));
+    let mut log = DriveLog::open(
+        &args.mcap,
+        args.pace,
+        &config,
+        &pipeline,
+        &mut network.plan,
+        &mut watch,
+    )?;
+    watch.show((network.plan).measure_library("view", || ViewFeed::open(&config, &pipeline, args.pace)));
     let mut recorder = Recorder::new(recording, &pipeline, names, watch);
-    let devices = Devices {
+    let devices = log.tap(Devices {
         camera: Box::new(ReplayFrames::new(frames, key_frames)),
         wheels,
         segmenter: network.segmenter,
         tiles: drive::tiles(&config, &camera),
         sinks,
-    };
+    });
     let summary = drive::run(
         Setup {
             config: pipeline,
@@ -139,8 +176,9 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
             clock: MonotonicClock::default(),
         },
         args.pace,
-        &mut recorder,
+        &mut log.noted(&mut recorder),
     )?;
+    log.finish();
     let Recorded {
         mut recording,
         counts,

@@ -9,8 +9,8 @@ use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::{SinkPort, WheelPort};
 use freespace::track::WheelConfig;
 
-use super::drive::{self, Progress, Recorded, Recorder, Watch};
-use super::{Failure, RunArgs, table, terminal};
+use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
+use super::{Failure, Pace, RunArgs, table, terminal};
 use crate::bad_input::BadInput;
 use crate::camera::v4l2::{CameraEvents, V4l2Camera};
 use crate::can::{self, CanDevices, CanListener, CanPlan};
@@ -29,7 +29,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let (device, size) = camera_device(&config)?;
     let camera = config.camera_for(&args.config, size.width, size.height)?;
     // Everything that may be refused is tried before anything is written or started.
-    let network = drive::open_network(&config)?;
+    let mut network = drive::open_network(&config)?;
     let mut frames = V4l2Camera::open(device, size, config.camera.frame_rate_hz).map_err(BadInput::from)?;
     let mut watch = Watch::new(Progress::new(None));
     if let Some(mode) = frames.mode() {
@@ -38,18 +38,28 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     if let Some(events) = frames.take_events() {
         watch.listen(Box::new(camera_lines(events)));
     }
-    let bus = open_bus(&config, &mut watch)?;
+    let mut bus = open_bus(&config, &mut watch)?;
+    bus.sinks.extend(drive::sinks(&config, Pace::Real, &mut network)?);
     let engine = network.segmenter.name().to_owned();
     let pipeline = pipeline(&config, camera, bus.odometer);
+    let mut log = DriveLog::open(
+        &args.mcap,
+        Pace::Real,
+        &config,
+        &pipeline,
+        &mut network.plan,
+        &mut watch,
+    )?;
+    watch.show((network.plan).measure_library("view", || ViewFeed::open(&config, &pipeline, Pace::Real)));
     let setup = Setup {
         config: pipeline.clone(),
-        devices: Devices {
+        devices: log.tap(Devices {
             camera: Box::new(frames),
             wheels: bus.wheels,
             segmenter: network.segmenter,
             tiles: drive::tiles(&config, &camera),
             sinks: bus.sinks,
-        },
+        }),
         real_time: network.real_time,
         plan: network.plan,
         lacks: network.lacks,
@@ -59,8 +69,10 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         args,
         config: &config,
         pipeline: &pipeline,
+        log: &log,
     };
     let report = drive.run(setup, watch)?;
+    log.finish();
     table::print(&report, &engine, args.record.as_deref(), args.json);
     Ok(())
 }
@@ -147,6 +159,7 @@ struct Drive<'a> {
     args: &'a RunArgs,
     config: &'a Config,
     pipeline: &'a PipelineConfig,
+    log: &'a DriveLog,
 }
 
 impl Drive<'_> {
@@ -187,7 +200,7 @@ impl Drive<'_> {
         if let Some(seconds) = self.args.seconds {
             stop_after(seconds, Arc::clone(stop))?;
         }
-        drive::run_live(setup, stop, observer)
+        drive::run_live(setup, stop, &mut self.log.noted(observer))
     }
 }
 

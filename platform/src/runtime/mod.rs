@@ -13,7 +13,10 @@ pub mod supervision;
 mod trace;
 
 pub use live::{LiveRun, run_live};
-pub use lockstep::{FaultKind, FaultModel, Injection, Victim, run_in_lockstep, run_modelled};
+pub use lockstep::{
+    FaultKind, FaultModel, Injection, KeyFrameTimes, RecordedTimes, Victim, run_in_lockstep, run_modelled,
+    run_recorded,
+};
 pub use network::{InlineNetwork, ThreadedNetwork};
 pub use restart::hush_real_time_panics;
 pub use trace::{Event, Trace};

@@ -12,14 +12,20 @@ mod tests;
 
 pub use histogram::{LatencyHistogram, Percentiles};
 pub use summary::{Counts, Drops, Status};
+pub(crate) use summary::{SCALE, TRACKING};
 
 use freespace::health::{Blame, Faults, QualityLevel, ScaleState, TrackingState};
 use freespace::pipeline::KeyFrameOutput;
-use freespace::stage::{Stage, StageTimes};
+use freespace::space::Micros;
+use freespace::stage::{Cuts, Stage, StageTimes};
 
 /// What the statistics take of one publication; `Copy`, so that it passes through any ring.
 #[derive(Clone, Copy, Debug)]
 pub struct Publication {
+    /// Number of the frame in its source; none where it answers for an instant at which none came.
+    pub frame: Option<u64>,
+    /// Capture stamp.
+    pub stamp: Micros,
     /// Quality.
     pub level: QualityLevel,
     /// Its reasons.
@@ -28,6 +34,8 @@ pub struct Publication {
     pub scale: ScaleState,
     /// Time of each stage; zero where it did not run for this publication.
     pub times: StageTimes,
+    /// Where the clock cut the work short.
+    pub cuts: Cuts,
     /// From capture to publication.
     pub latency_micros: u64,
     /// Whether the wanted level was not out by the deadline.
@@ -41,10 +49,13 @@ impl Publication {
     #[must_use]
     pub fn of(output: &KeyFrameOutput) -> Self {
         Self {
+            frame: output.has_frame.then_some(output.frame),
+            stamp: output.stamp,
             level: output.level,
             faults: output.faults,
             scale: output.scale,
             times: output.times,
+            cuts: output.cuts,
             latency_micros: output.latency_micros,
             is_miss: output.is_miss(),
             blame: output.blame,

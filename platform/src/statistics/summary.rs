@@ -9,9 +9,9 @@ use serde::{Serialize, Serializer};
 use super::{DriveStatistics, LEVELS, LatencyHistogram, Percentiles};
 
 /// Names of the tracking states, in the order of their numbers.
-pub(super) const TRACKING: [&str; 4] = ["dead_reckoning", "good", "standstill", "weak"];
+pub(crate) const TRACKING: [&str; 4] = ["dead_reckoning", "good", "standstill", "weak"];
 /// Names of the scale states, in the order of their numbers.
-pub(super) const SCALE: [&str; 4] = ["unknown", "wheels", "camera_height", "held"];
+pub(crate) const SCALE: [&str; 4] = ["unknown", "wheels", "camera_height", "held"];
 
 /// What was lost on the way; null where it was not counted apart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

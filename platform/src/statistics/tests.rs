@@ -10,10 +10,13 @@ fn publication(level: QualityLevel, latency_micros: u64) -> Publication {
     }
     times.add(Stage::Emit, 100);
     Publication {
+        frame: Some(0),
+        stamp: Micros(0),
         level,
         faults: Faults::NONE.with(Faults::DEADLINE_MISSED, level == QualityLevel::Moved),
         scale: ScaleState::Wheels,
         times,
+        cuts: Cuts::default(),
         latency_micros,
         is_miss: level == QualityLevel::Moved,
         blame: None,

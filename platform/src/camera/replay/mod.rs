@@ -1,4 +1,4 @@
-//! Frames from a folder: a KITTI odometry sequence or plain images.
+//! Frames from a folder: a KITTI odometry sequence or plain images; and from a recorded [`drive`].
 //!
 //! In: `SOURCE/image_0/` or `SOURCE/images/` with an optional `SOURCE/times.txt`, or a folder of PNG or JPEG files, which
 //! are taken in the order of their names. Out: [`ReplayFrame`]s, one byte a pixel for gray files and three for colour,
@@ -7,6 +7,7 @@
 //! files, times), and the first frame is decoded there, so that a bad folder is refused before a run has written anything.
 //! A frame missing in mid-sequence keeps its place: the others keep index and stamp, and [`ReplayCamera::missing`] counts it.
 
+pub mod drive;
 mod file;
 mod key_frames;
 mod port;

@@ -1,11 +1,15 @@
 //! What `run`, `demo` and `replay` share: the pipeline built from a configuration, watched, and its results recorded.
 
+mod log;
 mod progress;
 mod recorder;
+mod view;
 mod watch;
 
+pub(in crate::cli) use log::DriveLog;
 pub(in crate::cli) use progress::Progress;
 pub(in crate::cli) use recorder::{Recorded, Recorder};
+pub(in crate::cli) use view::ViewFeed;
 pub(in crate::cli) use watch::Watch;
 
 use std::path::Path;
@@ -127,7 +131,9 @@ pub(in crate::cli) fn sinks(
             sharing.name
         ))),
         Err(error) => {
-            eprintln!("freespace: nothing is published in shared memory: {error}");
+            crate::cli::terminal::tell(format_args!(
+                "freespace: nothing is published in shared memory: {error}"
+            ));
             Ok(Vec::new())
         }
     }
@@ -192,7 +198,7 @@ pub(in crate::cli) fn check_apart(source: &Path, out: &Path) -> Result<(), BadIn
     if same {
         return Err(BadInput::of_file(
             out,
-            "is the folder that is replayed",
+            "is what is replayed",
             "give another folder with --out",
         ));
     }

@@ -215,6 +215,7 @@ impl Observer for Recorder {
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
+        self.watch.key_frame(report);
         // What answers for an instant without a frame has no picture and no name: what the bus was told of it is all there is.
         if !report.output.has_frame {
             let written = self.record_can(report.output);

@@ -1,6 +1,7 @@
 //! Watches a run: counts it, tells the service manager and whoever reads standard error.
 
 use super::progress::Progress;
+use super::view::ViewFeed;
 use crate::cli::memory_watch::MemoryWatch;
 use crate::cli::service::Service;
 use crate::cli::terminal;
@@ -19,6 +20,7 @@ pub(in crate::cli) struct Watch {
     service: Service,
     memory: Option<MemoryWatch>,
     devices: Vec<DeviceEvents>,
+    view: Option<ViewFeed>,
 }
 
 impl Watch {
@@ -30,12 +32,26 @@ impl Watch {
             service: Service::from_environment(),
             memory: None,
             devices: Vec::new(),
+            view: None,
         }
     }
 
     /// Passes on what a device tells.
     pub(in crate::cli) fn listen(&mut self, events: DeviceEvents) {
         self.devices.push(events);
+    }
+
+    /// Shows the run to a monitor.
+    pub(in crate::cli) fn show(&mut self, view: Option<ViewFeed>) {
+        self.view = view;
+    }
+
+    fn tell(&mut self, line: &str) {
+        self.progress.interrupt();
+        terminal::tell(format_args!("{line}"));
+        if let Some(view) = &mut self.view {
+            view.line(line);
+        }
     }
 
     /// The run in numbers, once it is over.
@@ -59,10 +75,9 @@ impl Watch {
     }
 
     fn tell_device_events(&mut self) {
-        for events in &mut self.devices {
-            while let Some(line) = events() {
-                self.progress.interrupt();
-                terminal::tell(format_args!("{line}"));
+        for device in 0..self.devices.len() {
+            while let Some(line) = self.devices[device]() {
+                self.tell(&line);
             }
         }
     }
@@ -90,17 +105,23 @@ impl Observer for Watch {
         self.progress.publication(publication);
     }
 
-    fn key_frame(&mut self, _: &KeyFrameReport<'_>) {}
+    fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
+        if let Some(view) = &mut self.view {
+            view.key_frame(report);
+        }
+    }
 
     #[expect(clippy::cast_precision_loss, reason = "seconds")]
     fn trace(&mut self, trace: &Trace) {
-        self.progress.interrupt();
-        terminal::tell(format_args!("{:.3} s: {}", trace.at.0 as f64 * 1e-6, trace.event));
+        self.tell(&format!("{:.3} s: {}", trace.at.0 as f64 * 1e-6, trace.event));
     }
 
     fn status(&mut self, status: &Status) {
         self.statistics.set_drops(status.drops);
         self.service.status(status, &self.statistics);
+        if let Some(view) = &mut self.view {
+            view.status(status);
+        }
         self.tell_device_events();
         if let Some(memory) = &mut self.memory {
             memory.look();

@@ -15,6 +15,7 @@ use crate::statistics::Publication;
 use super::super::trace::Listener;
 use super::super::{FrameReport, KeyFrameReport, Observer, RunError, Status};
 use super::Shared;
+use super::publisher::LENT;
 
 /// A publication on loan.
 pub(super) struct Observation {
@@ -87,7 +88,9 @@ impl ObserverThread {
         while let Ok(publication) = self.publications.pop() {
             observer.publication(&publication);
         }
-        while let Ok(observation) = self.seen.pop() {
+        // One that takes longer over a key frame than the next one takes to come must still get to its other duties.
+        for _ in 0..LENT {
+            let Ok(observation) = self.seen.pop() else { break };
             let output = &observation.output;
             if observation.is_last_word {
                 observer.last_word(output);

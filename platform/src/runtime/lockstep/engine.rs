@@ -208,7 +208,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
         let Some(buffer) = self.waiting_frame.take() else {
             return;
         };
-        self.frame_time.begin(at);
+        self.frame_time.begin(at, Some(buffer.index));
         let stepped = {
             let _scope = RealTimeScope::enter();
             guarded(|| {
@@ -273,7 +273,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             self.jobs.push(job);
             return;
         };
-        self.key_frame_time.begin(at);
+        self.key_frame_time.begin(at, Some(job.frame));
         let stepped = {
             let _scope = RealTimeScope::enter();
             let time = &self.key_frame_time;
@@ -315,7 +315,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
     ) {
         let Some(free) = self.publish_free else { return };
         let at = at.max(free);
-        self.publish_time.begin(at);
+        self.publish_time.begin(at, None);
         let verdict = {
             let _scope = RealTimeScope::enter();
             guarded(|| {
@@ -348,7 +348,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
         let Some(mut output) = self.outputs.pop() else {
             return;
         };
-        self.publish_time.begin(at);
+        self.publish_time.begin(at, None);
         let fell_back = {
             let _scope = RealTimeScope::enter();
             guarded(|| {

@@ -181,7 +181,7 @@ impl StageProbe for Modelled {
 }
 
 impl TaskTime for Modelled {
-    fn begin(&self, at: Micros) {
+    fn begin(&self, at: Micros, _frame: Option<u64>) {
         self.0.now.set(at);
         self.0.began.set(at);
         self.0.stage.set(None);

@@ -8,8 +8,8 @@ use crate::clock::MonotonicClock;
 
 /// The clock that a task reads while it works, and the probe that it reports to.
 pub(super) trait TaskTime: Clock + StageProbe {
-    /// The task begins to work.
-    fn begin(&self, at: Micros);
+    /// The task begins to work, on the frame of that index; none where it works on no frame.
+    fn begin(&self, at: Micros, frame: Option<u64>);
     /// When the work that began at `began` is done; none where it hangs for ever.
     fn end(&self, began: Micros) -> Option<Micros>;
     /// The stage that the task was in last.
@@ -39,7 +39,7 @@ impl StageProbe for Measured {
 }
 
 impl TaskTime for Measured {
-    fn begin(&self, _at: Micros) {}
+    fn begin(&self, _at: Micros, _frame: Option<u64>) {}
 
     fn end(&self, began: Micros) -> Option<Micros> {
         Some(began)

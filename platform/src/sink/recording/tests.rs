@@ -67,6 +67,9 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
         times.add(Stage::Map, latency_micros / 10);
         let deadline_met = level == QualityLevel::Full;
         statistics.publication(&Publication {
+            frame: None,
+            stamp: Micros(0),
+            cuts: freespace::stage::Cuts::default(),
             level,
             faults: Faults::NONE.with(Faults::DEADLINE_MISSED, !deadline_met),
             scale: ScaleState::Wheels,
@@ -374,6 +377,9 @@ fn the_latency_picture_has_its_parts_even_where_nothing_was_published() {
     let mut statistics = DriveStatistics::new();
     for latency_micros in [0, 1, 45_000, 46_000, 90_000_000] {
         statistics.publication(&Publication {
+            frame: None,
+            stamp: Micros(0),
+            cuts: freespace::stage::Cuts::default(),
             level: QualityLevel::Full,
             faults: Faults::NONE,
             scale: ScaleState::Wheels,

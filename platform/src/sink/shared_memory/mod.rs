@@ -27,6 +27,7 @@ use rtrb::{Consumer, RingBuffer};
 
 use crate::runtime::handover::Mailbox;
 use crate::runtime::rights::{Lacks, RealTimeConfig, ThreadRole, thread_builder};
+use crate::view;
 
 /// Boxes that circulate: one at hand, one waiting, one being written.
 const LETTERS: usize = 3;
@@ -56,7 +57,7 @@ impl SharingConfig {
     /// Room in `/dev/shm` that a run takes.
     #[must_use]
     pub const fn bytes(&self) -> u64 {
-        (service::slots(self.max_readers) * SHARED_BYTES) as u64 + SERVICE_BYTES
+        (service::slots(self.max_readers) * SHARED_BYTES) as u64 + SERVICE_BYTES + view::ROOM_BYTES
     }
 }
 

@@ -1,0 +1,249 @@
+//! A drive recorded in MCAP, checked and read.
+//!
+//! In: `NAME.mcap` with the parts that follow it, or a folder that holds `drive.mcap`. Out: frames ([`DriveFrames`]), wheel
+//! readings ([`RecordedDrive::wheels`]), configuration, camera, and what each frame and key frame took. Invariant: opening reads
+//! all of it once, by its checksums, so that a file of no use is refused before a run writes anything; a part that is cut off is
+//! read up to its last whole chunk, and named. Cost: one pass over the files to open, one more to replay; memory for one frame,
+//! and some 100 bytes a frame and reading.
+
+mod port;
+mod stream;
+mod times;
+
+pub use port::DriveFrames;
+pub use stream::CutPart;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use freespace::frame::Camera;
+use freespace::port::FrameBuffer;
+use freespace::space::Micros;
+use serde::de::DeserializeOwned;
+
+use crate::bad_input::BadInput;
+use crate::sink::mcap::{
+    CONFIG, DRIVE, DriveNote, FrameNote, KeyFrameNote, Topic, VERSION, WantedNote, WheelNote, first_part,
+    part_path, picture,
+};
+use crate::wheels::RecordedReading;
+use stream::{Found, Stream};
+
+/// A frame's place in the drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FramePlace {
+    /// Index in its source.
+    pub index: u64,
+    /// Capture stamp.
+    pub stamp: Micros,
+}
+
+/// A recorded drive, all of it but the pixels.
+#[derive(Debug)]
+pub struct RecordedDrive {
+    parts: Vec<PathBuf>,
+    drive: DriveNote,
+    camera: Camera,
+    /// The configuration as it was written.
+    pub config_text: String,
+    /// Every frame, in the order in which the pipeline got them.
+    pub frames: Vec<FramePlace>,
+    wanted: BTreeSet<u64>,
+    /// Wheel readings, in that order too.
+    pub wheels: Vec<RecordedReading>,
+    /// What *frame* and *track* made of each frame, by its index.
+    pub frame_notes: BTreeMap<u64, FrameNote>,
+    /// What left for each key frame that had a frame, by its index.
+    pub key_frame_notes: BTreeMap<u64, KeyFrameNote>,
+    /// Parts that end before their end.
+    pub cut: Vec<CutPart>,
+}
+
+/// Whether a replay's source is a recorded drive.
+#[must_use]
+pub fn is_drive(source: &Path) -> bool {
+    let first = first_part(source);
+    first.is_file() || first == source
+}
+
+/// What a scan gathers.
+#[derive(Default)]
+struct Gathered {
+    drive: Option<DriveNote>,
+    config_text: Option<String>,
+    frames: Vec<FramePlace>,
+    wanted: BTreeSet<u64>,
+    wheels: Vec<RecordedReading>,
+    frame_notes: BTreeMap<u64, FrameNote>,
+    key_frame_notes: BTreeMap<u64, KeyFrameNote>,
+}
+
+const AGAIN: &str = "give a file that freespace recorded with --mcap, or copy it again from its source";
+
+impl RecordedDrive {
+    /// Reads a recording through.
+    ///
+    /// # Errors
+    /// No recording of this program, one without a whole frame, or frames of another size than its camera.
+    pub fn open(source: &Path) -> Result<Self, BadInput> {
+        let first = first_part(source);
+        let parts = parts_from(&first)?;
+        let mut stream = Stream::new(parts.clone());
+        let mut gathered = Gathered::default();
+        let mut frame = FrameBuffer::default();
+        let mut size = None;
+        while let Some(found) = stream.next() {
+            gathered
+                .take(&found, stream.data(), &mut frame)
+                .map_err(|fault| BadInput::of_file(&first, fault, AGAIN))?;
+            if !frame.bytes.is_empty() {
+                let this = (frame.width, frame.height);
+                if *size.get_or_insert(this) != this {
+                    return Err(BadInput::of_file(&first, "holds frames of several sizes", AGAIN));
+                }
+            }
+        }
+        let cut = stream.cut().to_vec();
+        let fault = |what: &str| {
+            let cause = cut
+                .first()
+                .map(|cut| format!(" ({})", cut.cause))
+                .unwrap_or_default();
+            BadInput::of_file(&first, format!("{what}{cause}"), AGAIN)
+        };
+        let drive = gathered.drive.ok_or_else(|| fault("is no recorded drive"))?;
+        if drive.version != VERSION {
+            return Err(fault(&format!(
+                "was recorded in layout {}, not {VERSION}",
+                drive.version
+            )));
+        }
+        let camera = drive
+            .camera()
+            .ok_or_else(|| fault("does not say what its camera was"))?;
+        let Some(size) = size else {
+            return Err(fault("holds no whole frame"));
+        };
+        if size != (camera.width, camera.height) {
+            return Err(fault("holds frames of another size than its camera's"));
+        }
+        Ok(Self {
+            parts,
+            drive,
+            camera,
+            config_text: gathered.config_text.unwrap_or_default(),
+            frames: gathered.frames,
+            wanted: gathered.wanted,
+            wheels: gathered.wheels,
+            frame_notes: gathered.frame_notes,
+            key_frame_notes: gathered.key_frame_notes,
+            cut,
+        })
+    }
+
+    /// What was said of the drive when it began.
+    #[must_use]
+    pub const fn drive(&self) -> &DriveNote {
+        &self.drive
+    }
+
+    /// The camera as it was calibrated then.
+    #[must_use]
+    pub const fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// Whether a frame of that index was left out by the drive: recorded, but displaced by a newer one before the pipeline took
+    /// it. Of the last frames nobody knows.
+    #[must_use]
+    pub fn was_left_out(&self, index: u64) -> bool {
+        let is_last = self
+            .frame_notes
+            .last_key_value()
+            .is_none_or(|(last, _)| index > *last);
+        !is_last && !self.frame_notes.contains_key(&index)
+    }
+}
+
+fn parts_from(first: &Path) -> Result<Vec<PathBuf>, BadInput> {
+    if !first.is_file() {
+        return Err(BadInput::of_file(first, "is no file", AGAIN));
+    }
+    Ok((0..)
+        .map(|part| part_path(first, part))
+        .take_while(|path| path.is_file())
+        .collect())
+}
+
+fn note<T: DeserializeOwned>(topic: Topic, data: &[u8]) -> Result<T, String> {
+    serde_json::from_slice(data)
+        .map_err(|error| format!("holds a damaged message of {}: {error}", topic.name()))
+}
+
+impl Gathered {
+    /// Takes one thing found; of a picture the frame is left with its pixels.
+    fn take(&mut self, found: &Found, data: &[u8], frame: &mut FrameBuffer) -> Result<(), String> {
+        match found {
+            Found::Attachment(name) if name == DRIVE => {
+                let drive = serde_json::from_slice(data)
+                    .map_err(|error| format!("holds a damaged {DRIVE}: {error}"))?;
+                // Every part says the same.
+                self.drive.get_or_insert(drive);
+            }
+            Found::Attachment(name) if name == CONFIG => {
+                let text =
+                    String::from_utf8(data.to_vec()).map_err(|_| format!("holds a damaged {CONFIG}"))?;
+                self.config_text.get_or_insert(text);
+            }
+            Found::Attachment(_) => {}
+            Found::Message {
+                topic,
+                sequence,
+                at_micros,
+            } => {
+                let stamp = Micros(*at_micros);
+                self.take_message(*topic, u64::from(*sequence), stamp, data, frame)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn take_message(
+        &mut self,
+        topic: Topic,
+        index: u64,
+        stamp: Micros,
+        data: &[u8],
+        frame: &mut FrameBuffer,
+    ) -> Result<(), String> {
+        match topic {
+            Topic::Image => {
+                picture::decode(data, index, stamp, frame)
+                    .map_err(|fault| format!("frame {index} {fault}"))?;
+                self.frames.push(FramePlace { index, stamp });
+            }
+            Topic::KeyFrameWanted => {
+                let wanted: WantedNote = note(topic, data)?;
+                self.wanted.insert(wanted.frame);
+            }
+            Topic::Wheels => {
+                let wheel: WheelNote = note(topic, data)?;
+                let reading = wheel.reading().ok_or("holds a wheel reading without a value")?;
+                let until = Micros(wheel.until_micros);
+                self.wheels.push(RecordedReading { until, reading });
+            }
+            Topic::Frame => {
+                let frame: FrameNote = note(topic, data)?;
+                self.frame_notes.insert(frame.frame, frame);
+            }
+            Topic::KeyFrame => {
+                let key_frame: KeyFrameNote = note(topic, data)?;
+                if let Some(frame) = key_frame.frame {
+                    self.key_frame_notes.insert(frame, key_frame);
+                }
+            }
+            Topic::Calibration | Topic::Transform | Topic::Grid | Topic::CanOut | Topic::Log => {}
+        }
+        Ok(())
+    }
+}

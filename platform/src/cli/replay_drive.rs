@@ -1,0 +1,143 @@
+//! `freespace replay DRIVE.mcap`: a recorded drive through the full pipeline.
+//!
+//! Frames, wheel readings, camera and cadence are the drive's; so is the configuration, unless another one is given.
+
+use std::collections::BTreeMap;
+
+use freespace::port::{CameraPort, WheelPort};
+use freespace::track::WheelConfig;
+
+use super::drive::{self, DriveLog, Progress, Recorded, Recorder, Watch};
+use super::{Failure, Pace, ReplayArgs, Timing, replay, table};
+use crate::bad_input::BadInput;
+use crate::camera::replay::KeyFrameRule;
+use crate::camera::replay::drive::{DriveFrames, RecordedDrive};
+use crate::clock::MonotonicClock;
+use crate::config::{Config, Wheels};
+use crate::eval::reference::Reference;
+use crate::runtime::{self, Devices, Setup};
+use crate::sink::recording::{Recording, RunTitle};
+use crate::wheels::RecordedWheels;
+
+/// Replays a recorded drive.
+///
+/// # Errors
+/// Bad input, before anything is written; or a folder that cannot be written to.
+pub(super) fn run(args: &ReplayArgs) -> Result<(), Failure> {
+    refuse_what_is_the_drives(args)?;
+    let recorded = RecordedDrive::open(&args.source)?;
+    for part in &recorded.cut {
+        eprintln!(
+            "{}: is cut off, and read up to its last whole chunk ({})",
+            part.path.display(),
+            part.cause
+        );
+    }
+    let mut config = match &args.config {
+        Some(path) => Config::load(path)?,
+        None => Config::parse(&recorded.drive().config_path, &recorded.config_text)?,
+    };
+    let camera = match &args.config {
+        Some(path) => config.camera_for(path, recorded.camera().width, recorded.camera().height)?,
+        None => *recorded.camera(),
+    };
+    let reference = Reference::open(
+        &args.source,
+        args.truth.truth_poses.as_deref(),
+        args.truth.truth_masks.as_deref(),
+        args.truth.truth,
+        crate::config::ImageSize {
+            width: camera.width,
+            height: camera.height,
+        },
+    )?;
+    let mut network = drive::open_network(&config)?;
+    config.crf.ablation = replay::ablation(args);
+    let odometer = odometer(&config).filter(|_| recorded.drive().has_wheels);
+    let pipeline = drive::pipeline_config(&config, camera, odometer, recorded.drive().cadence());
+    let title = RunTitle {
+        title: format!("freespace replay {}", args.source.display()),
+        deadline_ms: config.deadline.publish_ms,
+        is_reproducible: pace(args) == Pace::Fast,
+    };
+    let recording = Recording::create(&args.out, title)?;
+    let engine = network.segmenter.name().to_owned();
+    let mut watch = Watch::new(Progress::new(Some(recorded.frames.len())));
+    let mut log = DriveLog::open(
+        &args.mcap,
+        pace(args),
+        &config,
+        &pipeline,
+        &mut network.plan,
+        &mut watch,
+    )?;
+    let mut recorder = Recorder::new(recording, &pipeline, BTreeMap::new(), watch);
+    let devices = log.tap(Devices {
+        camera: frames(args, &recorded),
+        wheels: odometer
+            .map(|_| -> Box<dyn WheelPort + Send> { Box::new(RecordedWheels::new(recorded.wheels.clone())) }),
+        segmenter: network.segmenter,
+        tiles: drive::tiles(&config, &camera),
+        sinks: Vec::new(),
+    });
+    let setup = Setup {
+        config: pipeline,
+        devices,
+        real_time: network.real_time,
+        plan: network.plan,
+        lacks: network.lacks,
+        clock: MonotonicClock::default(),
+    };
+    let summary = match args.timing {
+        Timing::Recorded => runtime::run_recorded(setup, recorded.times(), &mut recorder),
+        Timing::Own => drive::run(setup, args.pace, &mut log.noted(&mut recorder))?,
+    };
+    log.finish();
+    let Recorded {
+        mut recording,
+        counts,
+        statistics,
+    } = recorder.finish(&summary)?;
+    let poses = recording.poses()?.into_iter().enumerate();
+    let truth = reference.compare(poses, &recording.mask_folder())?;
+    let report = recording.finish(&counts, &statistics, truth)?;
+    table::print(&report, &engine, Some(&args.out), args.json);
+    Ok(())
+}
+
+fn refuse_what_is_the_drives(args: &ReplayArgs) -> Result<(), BadInput> {
+    let given = match (&args.can, &args.key_frames) {
+        (Some(_), _) => "--can",
+        (None, Some(KeyFrameRule::Every(_) | KeyFrameRule::Listed(_))) => "--key-frames",
+        (None, Some(KeyFrameRule::Interval) | None) => return Ok(()),
+    };
+    Err(BadInput::new(
+        format!(
+            "{given} is given, but {} is a recorded drive",
+            args.source.display()
+        ),
+        format!("leave {given} out: wheel readings and key frames are those of the drive"),
+    ))
+}
+
+fn pace(args: &ReplayArgs) -> Pace {
+    match args.timing {
+        Timing::Recorded => Pace::Fast,
+        Timing::Own => args.pace,
+    }
+}
+
+fn odometer(config: &Config) -> Option<WheelConfig> {
+    match config.wheels() {
+        Wheels::Can(wheels) => Some(wheels.odometer),
+        Wheels::Sim(odometer) => Some(odometer),
+        Wheels::None => None,
+    }
+}
+
+fn frames(args: &ReplayArgs, recorded: &RecordedDrive) -> Box<dyn CameraPort + Send> {
+    Box::new(match args.timing {
+        Timing::Recorded => DriveFrames::as_driven(recorded),
+        Timing::Own => DriveFrames::all(recorded),
+    })
+}
