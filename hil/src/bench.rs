@@ -1,6 +1,6 @@
 //! One drive on the bench: the road fed to the devices, the module running on them, the bus listened to.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use freespace_platform::world::Slip;
 use crate::drive::names;
 use crate::feed::{Feed, FeedError};
 use crate::listener::{Heard, Listener, candump};
-use crate::module::{Installation, Module};
+use crate::module::{Installation, Log, Module};
 use crate::road::Road;
 
 /// How long the module may take from its start to the first good answer.
@@ -122,7 +122,7 @@ pub(crate) struct Bench {
 
 impl Bench {
     /// Drives, and waits for the first good answer.
-    pub(crate) fn start(rig: &Rig, slips: &[Slip], record: Option<&Path>) -> Result<Self, BenchError> {
+    pub(crate) fn start(rig: &Rig, slips: &[Slip], record: Option<&Log>) -> Result<Self, BenchError> {
         let road = rig.road(slips)?;
         let listener = Listener::start(&rig.interface)?;
         let feed = Feed::start(road.show()?, &rig.device, &rig.interface)?;

@@ -5,6 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::bench::{BenchError, Rig};
+use crate::stall::{StallWatch, Stalls};
 
 /// One case.
 pub(crate) struct Case {
@@ -70,13 +71,19 @@ pub(crate) struct Row {
     pub(crate) recovery_s: Option<f64>,
     pub(crate) verdict: Verdict,
     pub(crate) seconds: f64,
+    /// Whether the machine stood still meanwhile, so that a failure may be its doing.
+    #[serde(default)]
+    pub(crate) is_disturbed: bool,
 }
 
 impl Case {
     /// Runs it on the bench.
     pub(crate) fn row(&self, rig: &Rig) -> Row {
         let begin = std::time::Instant::now();
-        let (verdict, seen, recovery_s) = match (self.run)(rig) {
+        let watch = StallWatch::begin();
+        let outcome = (self.run)(rig);
+        let stalls = watch.map_or_else(|_| Stalls::default(), StallWatch::end);
+        let (verdict, mut seen, recovery_s) = match outcome {
             Ok(seen) if seen.broken.is_empty() => (Verdict::Passed, seen.words.join("; "), seen.recovery_s),
             Ok(seen) => {
                 let all = [seen.broken, seen.words].concat();
@@ -85,7 +92,14 @@ impl Case {
             Err(BenchError::Lacking(what)) => (Verdict::Skipped, what, None),
             Err(error) => (Verdict::Failed, error.to_string(), None),
         };
-        self.with(verdict, seen, recovery_s, begin.elapsed().as_secs_f64())
+        if stalls.are_grave() {
+            seen = format!("{seen}; {stalls}");
+        }
+        let row = self.with(verdict, seen, recovery_s, begin.elapsed().as_secs_f64());
+        Row {
+            is_disturbed: stalls.are_grave(),
+            ..row
+        }
     }
 
     /// A row of this case.
@@ -98,6 +112,7 @@ impl Case {
             recovery_s,
             verdict,
             seconds,
+            is_disturbed: false,
         }
     }
 }

@@ -1,10 +1,12 @@
-//! The drive again without devices: the same frames at the stamps that they came with, the same wheel frames, in lockstep.
+//! The drive again without devices: the pictures and counts that were sent, in lockstep, at the drive's own stage times.
 //!
-//! The grids that the module recorded behind a real kernel's camera and bus must be those of this direct replay, and its path
-//! that of the car.
+//! The grids that the module recorded behind a real kernel's camera and bus must be those of this direct replay, its pictures
+//! those that were sent, and its path that of the car.
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use freespace::frame::{Camera, PixelFormat, RgbImage};
@@ -12,15 +14,13 @@ use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer, WheelPort};
 use freespace::segmentation::{Tile, TileConfig};
 use freespace::space::Micros;
-use freespace::stage::Stage;
 use freespace::track::WheelConfig;
+use freespace_platform::camera::replay::drive::{DriveFrames, RecordedDrive};
 use freespace_platform::clock::MonotonicClock;
 use freespace_platform::config::{Config, Wheels};
 use freespace_platform::eval::{npy, trajectory};
 use freespace_platform::runtime::memory::MemoryPlan;
-use freespace_platform::runtime::{
-    Devices, FaultModel, FrameReport, KeyFrameReport, Observer, Setup, run_modelled,
-};
+use freespace_platform::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup, run_recorded};
 use freespace_platform::segmenter::{self, EngineChoice, Manifest, Segmenter};
 use freespace_platform::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
 use freespace_platform::world::{Sensor, SimCamera};
@@ -29,13 +29,16 @@ use crate::bench::{Bench, BenchError, Rig};
 use crate::case::Seen;
 use crate::drive::finish;
 use crate::feed::Sent;
+use crate::module::Log;
 use crate::promise::Blind;
 use crate::road::{Road, yuyv};
 
 /// Length of the drive.
-const DRIVE: Duration = Duration::from_secs(20);
+const DRIVE: Duration = Duration::from_secs(12);
 /// Agreement of the free cells, where bytes do not agree.
 const IOU: f64 = 0.98;
+/// The driver stamps a picture so soon after it was sent.
+const LATEST_STAMP_MICROS: u64 = 30_000;
 /// Error of the path's length.
 const SCALE: f64 = 0.01;
 
@@ -43,32 +46,29 @@ const SCALE: f64 = 0.01;
 pub(crate) fn case(rig: &Rig) -> Result<Seen, BenchError> {
     // Not into a folder of the host: User-Mode Linux stands still while the host writes.
     let record = std::env::temp_dir().join(format!("freespace-rig-{}", std::process::id()));
-    let bench = Bench::start(rig, &[], Some(&record))?;
+    let log = Log {
+        folder: record.clone(),
+        mcap: Some(record.with_extension("mcap")),
+    };
+    let bench = Bench::start(rig, &[], Some(&log))?;
     std::thread::sleep(DRIVE);
     let (road, start_micros) = (bench.road.clone(), bench.feed.start_micros);
     let (sent, wheels) = (bench.feed.sent(), bench.feed.sent_wheels());
     let mut seen = finish(bench, Blind::default(), Seen::default())?;
-    let log = rig.file("wheels.candump");
-    std::fs::write(&log, crate::listener::candump(&wheels, &rig.interface))?;
+    let counts = rig.file("wheels.candump");
+    std::fs::write(&counts, crate::listener::candump(&wheels, &rig.interface))?;
 
     let driven = trajectory::read(&record.join("trajectory.tum"))?;
     let stamps = micros_of(driven.stamps_s.as_deref().unwrap_or_default());
     scale(&road, start_micros, &stamps, &driven.poses, &mut seen);
-    let frames = pair(&stamps, &sent);
-    seen.require(
-        frames.len() == stamps.len(),
-        format!(
-            "{} of {} frames were sent by nobody",
-            stamps.len() - frames.len(),
-            stamps.len()
-        ),
-    );
-    let direct = replay(rig, &road, frames, &log, &times_of(&record)?)?;
+    let drive = RecordedDrive::open(&record.with_extension("mcap"))?;
+    let direct = replay(rig, &road, &drive, sent, &counts, &mut seen)?;
     compare(&record, &direct, &mut seen)?;
-    std::fs::copy(record.join("report.json"), rig.file("report.json"))?;
-    std::fs::copy(record.join("trajectory.tum"), rig.file("trajectory.tum"))?;
-    std::fs::copy(record.join("timing.csv"), rig.file("timing.csv"))?;
+    for file in ["report.json", "trajectory.tum", "timing.csv"] {
+        std::fs::copy(record.join(file), rig.file(file))?;
+    }
     std::fs::remove_dir_all(&record)?;
+    std::fs::remove_file(record.with_extension("mcap"))?;
     Ok(seen)
 }
 
@@ -106,53 +106,16 @@ fn scale(road: &Road, start_micros: u64, stamps: &[u64], poses: &[freespace::spa
     seen.require(error < SCALE, format!("length error {:.2} %", 100.0 * error));
 }
 
-/// The picture behind each stamp: the last that was sent before it.
-fn pair(stamps: &[u64], sent: &[Sent]) -> Vec<(u64, u64)> {
-    let of = |stamp: u64| {
-        let after = sent.partition_point(|sent| sent.at_micros <= stamp);
-        let sent = sent.get(after.checked_sub(1)?)?;
-        (stamp - sent.at_micros < 20_000).then_some((stamp, sent.picture))
-    };
-    stamps.iter().filter_map(|stamp| of(*stamp)).collect()
-}
-
 /// Grids by capture stamp.
 type Grids = BTreeMap<u64, Vec<i8>>;
-
-/// What the stages took in the recorded drive, their medians: when a map reaches the tracker decides on what it does.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "milliseconds of a stage"
-)]
-fn times_of(record: &Path) -> Result<FaultModel, BenchError> {
-    let report: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(record.join("report.json"))?).unwrap_or_default();
-    let micros = |stage: Stage| {
-        let millis = report["stages_ms"][stage.name()]["p50"]
-            .as_f64()
-            .unwrap_or_default();
-        (millis * 1e3).round() as u64
-    };
-    Ok(FaultModel {
-        costs_micros: Stage::ALL.map(|stage| {
-            if stage == Stage::Segmentation {
-                (0, 0)
-            } else {
-                (micros(stage), 0)
-            }
-        }),
-        network_micros: micros(Stage::Segmentation),
-        injection: None,
-    })
-}
 
 fn replay(
     rig: &Rig,
     road: &Road,
-    frames: Vec<(u64, u64)>,
-    log: &Path,
-    times: &FaultModel,
+    drive: &RecordedDrive,
+    sent: Vec<Sent>,
+    counts: &Path,
+    seen: &mut Seen,
 ) -> Result<Grids, BenchError> {
     let (config, ..) = rig.config()?;
     let words = |error: &dyn std::error::Error| BenchError::Config(error.to_string());
@@ -163,14 +126,27 @@ fn replay(
     };
     let decoder = WheelDecoder::open(&can.dbc, &can.mapping()).map_err(|error| words(&error))?;
     let wheels =
-        CandumpWheels::open(log, &decoder, &CandumpOptions::default()).map_err(|error| words(&error))?;
+        CandumpWheels::open(counts, &decoder, &CandumpOptions::default()).map_err(|error| words(&error))?;
     let manifest = Manifest::load(&config.network.manifest).map_err(|error| words(&error))?;
     let network = segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
         .map_err(|error| words(&error))?;
-    let camera = Again::new(road, frames);
-    let setup = setup(rig, Box::new(camera), Some(Box::new(wheels)), network)?;
+    let strange = Arc::new(AtomicUsize::new(0));
+    let camera = SentFrames {
+        recorded: DriveFrames::as_driven(drive),
+        painter: Painter::new(road),
+        sent,
+        own: Vec::new(),
+        strange: Arc::clone(&strange),
+    };
+    let mut setup = setup(rig, Box::new(camera), Some(Box::new(wheels)), network)?;
+    setup.config.cadence = drive.drive().cadence();
     let mut collector = Collector::default();
-    run_modelled(setup, times, &mut collector);
+    run_recorded(setup, drive.times(), &mut collector);
+    let strange = strange.load(Ordering::Relaxed);
+    seen.require(
+        strange == 0,
+        format!("{strange} of {} frames are not what was sent", drive.frames.len()),
+    );
     Ok(collector.0)
 }
 
@@ -223,24 +199,44 @@ fn pipeline(config: &Config, camera: Camera, odometer: Option<WheelConfig>) -> P
     }
 }
 
-/// The frames that the module took, rendered again.
+/// Renders the road's pictures by their numbers.
+struct Painter {
+    road: Road,
+    camera: SimCamera,
+    picture: RgbImage,
+}
+
+impl Painter {
+    fn new(road: &Road) -> Self {
+        let camera = &road.camera;
+        Self {
+            picture: RgbImage::new(camera.width, camera.height),
+            camera: SimCamera::new(camera, &Sensor::default()),
+            road: road.clone(),
+        }
+    }
+
+    /// The picture as a camera gives it, YUYV.
+    fn paint(&mut self, number: u64, bytes: &mut Vec<u8>) {
+        let seconds = self.road.picture_seconds(number);
+        self.camera.render(&self.road.world, seconds, &mut self.picture);
+        yuyv(self.picture.pixels(), bytes);
+    }
+}
+
+/// Pictures by their numbers, each at its stamp.
 pub(crate) struct Again {
     frames: std::vec::IntoIter<(u64, u64)>,
-    picture: RgbImage,
-    camera: SimCamera,
-    road: Road,
+    painter: Painter,
     index: u64,
 }
 
 impl Again {
-    /// Pictures by their numbers, each at its stamp.
+    /// Stamps, and the number of the picture behind each.
     pub(crate) fn new(road: &Road, frames: Vec<(u64, u64)>) -> Self {
-        let camera = &road.camera;
         Self {
             frames: frames.into_iter(),
-            picture: RgbImage::new(camera.width, camera.height),
-            camera: SimCamera::new(camera, &Sensor::default()),
-            road: road.clone(),
+            painter: Painter::new(road),
             index: 0,
         }
     }
@@ -251,16 +247,53 @@ impl CameraPort for Again {
         let Some((stamp, number)) = self.frames.next() else {
             return CameraAnswer::End;
         };
-        let seconds = self.road.picture_seconds(number);
-        self.camera.render(&self.road.world, seconds, &mut self.picture);
         buffer.index = self.index;
         self.index += 1;
         buffer.stamp = Micros(stamp);
         buffer.format = PixelFormat::Yuyv;
-        (buffer.width, buffer.height) = (self.picture.width(), self.picture.height());
-        yuyv(self.picture.pixels(), &mut buffer.bytes);
+        let camera = &self.painter.road.camera;
+        (buffer.width, buffer.height) = (camera.width, camera.height);
+        self.painter.paint(number, &mut buffer.bytes);
         buffer.key_frame_wanted = false;
         CameraAnswer::Frame
+    }
+}
+
+/// A recorded drive's frames with the pictures that were sent in place of those that came.
+struct SentFrames {
+    recorded: DriveFrames,
+    painter: Painter,
+    sent: Vec<Sent>,
+    /// The picture that was sent.
+    own: Vec<u8>,
+    /// Frames that are not what was sent.
+    strange: Arc<AtomicUsize>,
+}
+
+impl SentFrames {
+    /// The last picture that was sent before a stamp.
+    fn number(&self, stamp: Micros) -> Option<u64> {
+        let after = self.sent.partition_point(|sent| sent.at_micros <= stamp.0);
+        let sent = self.sent.get(after.checked_sub(1)?)?;
+        (stamp.0 - sent.at_micros < LATEST_STAMP_MICROS).then_some(sent.picture)
+    }
+}
+
+impl CameraPort for SentFrames {
+    fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
+        let answer = self.recorded.next_frame(buffer);
+        if answer == CameraAnswer::Frame {
+            if let Some(number) = self.number(buffer.stamp) {
+                self.painter.paint(number, &mut self.own);
+            } else {
+                self.own.clear();
+            }
+            if self.own != buffer.bytes {
+                self.strange.fetch_add(1, Ordering::Relaxed);
+            }
+            buffer.bytes.clone_from(&self.own);
+        }
+        answer
     }
 }
 

@@ -17,6 +17,7 @@ mod listener;
 mod module;
 mod promise;
 mod road;
+mod stall;
 mod table;
 mod truth;
 mod wheel_frame;

@@ -18,6 +18,15 @@ pub(crate) struct Installation {
     pub(crate) config: PathBuf,
 }
 
+/// What a drive is recorded into.
+#[derive(Clone, Debug)]
+pub(crate) struct Log {
+    /// Folder for pictures, grids and report.
+    pub(crate) folder: PathBuf,
+    /// File for all that came and left.
+    pub(crate) mcap: Option<PathBuf>,
+}
+
 /// The running program; killed when dropped.
 #[derive(Debug)]
 pub(crate) struct Module {
@@ -30,14 +39,17 @@ impl Module {
     /// Starts `freespace run`; its two outputs go to `log`.
     pub(crate) fn start(
         installation: &Installation,
-        record: Option<&Path>,
+        record: Option<&Log>,
         log: &Path,
     ) -> std::io::Result<Self> {
         let output = File::options().create(true).append(true).open(log)?;
         let mut command = Command::new(&installation.program);
         command.arg("run").arg("--config").arg(&installation.config);
-        if let Some(folder) = record {
-            command.arg("--record").arg(folder);
+        if let Some(record) = record {
+            command.arg("--record").arg(&record.folder);
+            if let Some(mcap) = &record.mcap {
+                command.arg("--mcap").arg(mcap);
+            }
         }
         command
             .stdin(Stdio::null())

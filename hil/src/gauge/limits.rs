@@ -16,7 +16,13 @@ pub(crate) struct CheckArgs {
     /// The limits: a figures file that no figure may exceed.
     #[arg(long, value_name = "FILE", default_value = "hil/gauge.json")]
     limits: PathBuf,
+    /// Write new limits: what was measured, and a tenth more.
+    #[arg(long)]
+    keep: bool,
 }
+
+/// Room in new limits.
+const SPARE: f64 = 1.1;
 
 /// Two plays differ by less: the counted clock does not see the host.
 const SAME: f64 = 0.01;
@@ -29,9 +35,18 @@ pub(crate) fn check(args: &CheckArgs) -> bool {
         let text = std::fs::read_to_string(path).ok()?;
         serde_json::from_str(&text).ok()
     };
-    let (Some(idle), Some(loaded), Some(limits)) = (read(&args.idle), read(&args.loaded), read(&args.limits))
-    else {
-        eprintln!("gauge: figures or limits cannot be read");
+    let (Some(idle), Some(loaded)) = (read(&args.idle), read(&args.loaded)) else {
+        eprintln!("gauge: figures cannot be read");
+        return false;
+    };
+    if args.keep && !keep(&args.limits, &idle) {
+        return false;
+    }
+    let Some(limits) = read(&args.limits) else {
+        eprintln!(
+            "gauge: {}: no limits can be read; write them with `hil/rig --limits gauge`",
+            args.limits.display()
+        );
         return false;
     };
     let mut is_well = true;
@@ -62,6 +77,25 @@ pub(crate) fn check(args: &CheckArgs) -> bool {
         println!("the network's answers were recorded: *segmentation* is what is left without it");
     }
     is_well && idle.misses + loaded.misses == 0
+}
+
+/// Writes limits that these figures keep.
+fn keep(path: &Path, figures: &Figures) -> bool {
+    let limits = Figures {
+        stages: (figures.stages.iter())
+            .map(|(name, value)| (name.clone(), (value * SPARE).ceil()))
+            .collect(),
+        capture_to_can_p50: (figures.capture_to_can_p50 * SPARE).ceil(),
+        capture_to_can_p99: (figures.capture_to_can_p99 * SPARE).ceil(),
+        capture_to_can_max: (figures.capture_to_can_max * SPARE).ceil(),
+        ..figures.clone()
+    };
+    let text = serde_json::to_string_pretty(&limits).unwrap_or_default() + "\n";
+    let written = std::fs::write(path, text);
+    if let Err(error) = &written {
+        eprintln!("{}: cannot be written: {error}", path.display());
+    }
+    written.is_ok()
 }
 
 type Line = (String, f64, f64, f64);
