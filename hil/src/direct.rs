@@ -3,7 +3,7 @@
 //! The grids that the module recorded behind a real kernel's camera and bus must be those of this direct replay, its pictures
 //! those that were sent, and its path that of the car.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -14,7 +14,7 @@ use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer, WheelPort};
 use freespace::segmentation::{Tile, TileConfig};
 use freespace::space::Micros;
-use freespace::track::WheelConfig;
+use freespace::track::{WheelConfig, WheelReading};
 use freespace_platform::camera::replay::drive::{DriveFrames, RecordedDrive};
 use freespace_platform::clock::MonotonicClock;
 use freespace_platform::config::{Config, Wheels};
@@ -22,7 +22,7 @@ use freespace_platform::eval::{npy, trajectory};
 use freespace_platform::runtime::memory::MemoryPlan;
 use freespace_platform::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup, run_recorded};
 use freespace_platform::segmenter::{self, EngineChoice, Manifest, Segmenter};
-use freespace_platform::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
+use freespace_platform::wheels::{CandumpOptions, CandumpWheels, RecordedWheels, WheelDecoder};
 use freespace_platform::world::{Sensor, SimCamera};
 
 use crate::bench::{Bench, BenchError, Rig};
@@ -53,8 +53,9 @@ pub(crate) fn case(rig: &Rig) -> Result<Seen, BenchError> {
     let bench = Bench::start(rig, &[], Some(&log))?;
     std::thread::sleep(DRIVE);
     let (road, start_micros) = (bench.road.clone(), bench.feed.start_micros);
-    let (sent, wheels) = (bench.feed.sent(), bench.feed.sent_wheels());
+    let logs = bench.feed.logs();
     let mut seen = finish(bench, Blind::default(), Seen::default())?;
+    let (sent, wheels) = (logs.pictures(), logs.wheels());
     let counts = rig.file("wheels.candump");
     std::fs::write(&counts, crate::listener::candump(&wheels, &rig.interface))?;
 
@@ -125,8 +126,10 @@ fn replay(
         ));
     };
     let decoder = WheelDecoder::open(&can.dbc, &can.mapping()).map_err(|error| words(&error))?;
-    let wheels =
+    let mut wheels =
         CandumpWheels::open(counts, &decoder, &CandumpOptions::default()).map_err(|error| words(&error))?;
+    let lost = lost_counts(&mut wheels, drive);
+    seen.require(lost == 0, format!("{lost} wheel readings are not what was sent"));
     let manifest = Manifest::load(&config.network.manifest).map_err(|error| words(&error))?;
     let network = segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
         .map_err(|error| words(&error))?;
@@ -138,6 +141,8 @@ fn replay(
         own: Vec::new(),
         strange: Arc::clone(&strange),
     };
+    // Those that arrived late arrive late again.
+    let wheels = RecordedWheels::new(drive.wheels.clone());
     let mut setup = setup(rig, Box::new(camera), Some(Box::new(wheels)), network)?;
     setup.config.cadence = drive.drive().cadence();
     let mut collector = Collector::default();
@@ -148,6 +153,40 @@ fn replay(
         format!("{strange} of {} frames are not what was sent", drive.frames.len()),
     );
     Ok(collector.0)
+}
+
+/// Readings of the drive that are not, in order, among those that were sent.
+fn lost_counts(sent: &mut CandumpWheels, drive: &RecordedDrive) -> usize {
+    let mut counts = VecDeque::new();
+    sent.readings_until(Micros(u64::MAX), &mut |reading| {
+        counts.push_back(unstamped(reading))
+    });
+    let mut is_sent = |reading: WheelReading| {
+        while let Some(next) = counts.pop_front() {
+            if next == reading {
+                return true;
+            }
+        }
+        false
+    };
+    (drive.wheels.iter())
+        .filter(|recorded| !is_sent(unstamped(recorded.reading)))
+        .count()
+}
+
+/// The reading without the time at which it arrived.
+const fn unstamped(reading: WheelReading) -> WheelReading {
+    let stamp = Micros(0);
+    match reading {
+        WheelReading::Counts {
+            counts, direction, ..
+        } => WheelReading::Counts {
+            stamp,
+            counts,
+            direction,
+        },
+        WheelReading::Speeds { mps, .. } => WheelReading::Speeds { stamp, mps },
+    }
 }
 
 /// The module's pipeline, as its configuration says, on other devices.
@@ -282,7 +321,8 @@ impl SentFrames {
 impl CameraPort for SentFrames {
     fn next_frame(&mut self, buffer: &mut FrameBuffer) -> CameraAnswer {
         let answer = self.recorded.next_frame(buffer);
-        if answer == CameraAnswer::Frame {
+        // A loopback device's first frame may be one that it had kept.
+        if answer == CameraAnswer::Frame && buffer.index > 0 {
             if let Some(number) = self.number(buffer.stamp) {
                 self.painter.paint(number, &mut self.own);
             } else {

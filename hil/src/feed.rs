@@ -59,10 +59,30 @@ pub(crate) struct Show {
 pub(crate) struct Feed {
     pub(crate) start_micros: u64,
     pub(crate) switches: Arc<Switches>,
-    sent: Arc<Mutex<Vec<Sent>>>,
-    sent_wheels: Arc<Mutex<Vec<Frame>>>,
+    logs: Logs,
     is_over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
+}
+
+/// What was sent until now; it outlives the feed.
+#[derive(Clone, Default)]
+pub(crate) struct Logs {
+    pictures: Arc<Mutex<Vec<Sent>>>,
+    wheels: Arc<Mutex<Vec<Frame>>>,
+}
+
+impl Logs {
+    pub(crate) fn pictures(&self) -> Vec<Sent> {
+        copy(&self.pictures)
+    }
+
+    pub(crate) fn wheels(&self) -> Vec<Frame> {
+        copy(&self.wheels)
+    }
+}
+
+fn copy<T: Clone>(log: &Mutex<Vec<T>>) -> Vec<T> {
+    log.lock().unwrap_or_else(PoisonError::into_inner).clone()
 }
 
 impl Feed {
@@ -72,8 +92,7 @@ impl Feed {
         let start_micros = now_micros() + 1_500_000;
         let switches = Arc::new(Switches::default());
         let is_over = Arc::new(AtomicBool::new(false));
-        let sent = Arc::new(Mutex::new(Vec::new()));
-        let sent_wheels = Arc::new(Mutex::new(Vec::new()));
+        let logs = Logs::default();
         let camera = CameraFeed {
             width: show.width,
             height: show.height,
@@ -84,7 +103,7 @@ impl Feed {
             last: Vec::new(),
             switches: Arc::clone(&switches),
             is_over: Arc::clone(&is_over),
-            sent: Arc::clone(&sent),
+            sent: Arc::clone(&logs.pictures),
         };
         let wheels = WheelFeed {
             period_micros: show.wheel_period_micros,
@@ -94,7 +113,7 @@ impl Feed {
             switches: Arc::clone(&switches),
             is_over: Arc::clone(&is_over),
             stuck: None,
-            sent: Arc::clone(&sent_wheels),
+            sent: Arc::clone(&logs.wheels),
         };
         let threads = vec![
             spawn("camera-feed", PRIORITY, move || camera.run(start_micros))?,
@@ -103,8 +122,7 @@ impl Feed {
         Ok(Self {
             start_micros,
             switches,
-            sent,
-            sent_wheels,
+            logs,
             is_over,
             threads,
         })
@@ -122,22 +140,12 @@ impl Feed {
             sent.at_micros
                 .saturating_sub(self.start_micros + picture_micros(sent.picture, rate_hz))
         };
-        self.sent().iter().map(late).max().unwrap_or(0)
+        self.logs.pictures().iter().map(late).max().unwrap_or(0)
     }
 
-    /// Pictures that were sent until now.
-    pub(crate) fn sent(&self) -> Vec<Sent> {
-        self.sent.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-}
-
-impl Feed {
-    /// Wheel frames that were sent until now.
-    pub(crate) fn sent_wheels(&self) -> Vec<Frame> {
-        self.sent_wheels
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
+    /// What was sent, and is being sent.
+    pub(crate) fn logs(&self) -> Logs {
+        self.logs.clone()
     }
 }
 
