@@ -133,4 +133,8 @@ pub trait SinkPort {
     /// # Errors
     /// [`SinkMiss`]; what was sent of the publication until then stays sent.
     fn publish(&mut self, message: &[u8], frames: &[CanFrame]) -> Result<(), SinkMiss>;
+
+    /// A message is being made: a sink that hands over to another thread may wake it now, so that it is awake when
+    /// [`SinkPort::publish`] comes, about a tenth of a millisecond later. It must not wait either; nothing may come after all.
+    fn prepare(&mut self) {}
 }

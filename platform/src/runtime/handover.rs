@@ -7,6 +7,7 @@
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, Thread};
+use std::time::{Duration, Instant};
 
 use crossbeam_utils::atomic::AtomicCell;
 use freespace::port::Clock as _;
@@ -46,7 +47,12 @@ pub(crate) struct Mailbox<T> {
     slot: AtomicCell<Option<Box<T>>>,
     bell: Bell,
     is_closed: AtomicBool,
+    /// A box was promised, and is not there yet.
+    is_forewarned: AtomicBool,
 }
+
+/// How long the owner of a mailbox stays awake for a box that it was promised; the promise may be broken.
+const AWAKE: Duration = Duration::from_micros(300);
 
 impl<T> Default for Mailbox<T> {
     fn default() -> Self {
@@ -55,6 +61,7 @@ impl<T> Default for Mailbox<T> {
             slot: AtomicCell::new(None),
             bell: Bell::default(),
             is_closed: AtomicBool::new(false),
+            is_forewarned: AtomicBool::new(false),
         }
     }
 }
@@ -63,6 +70,7 @@ impl<T> Mailbox<T> {
     /// Puts a box in and wakes the owner; gives back the one that it displaced.
     pub(crate) fn post(&self, item: Box<T>) -> Option<Box<T>> {
         let displaced = self.slot.swap(Some(item));
+        self.is_forewarned.store(false, Ordering::Release);
         self.bell.ring();
         displaced
     }
@@ -77,9 +85,16 @@ impl<T> Mailbox<T> {
         self.bell.claim();
     }
 
-    /// Waits for the next box; none once the mailbox is closed and empty.
+    /// Wakes the owner before there is a box: waking takes longer than most boxes take to come.
+    pub(crate) fn forewarn(&self) {
+        self.is_forewarned.store(true, Ordering::Release);
+        self.bell.ring();
+    }
+
+    /// Waits for the next box; none once the mailbox is closed and empty. Forewarned, it stays awake for a moment.
     pub(crate) fn wait(&self) -> Option<Box<T>> {
         loop {
+            self.stay_awake();
             if let Some(item) = self.take() {
                 return Some(item);
             }
@@ -88,6 +103,18 @@ impl<T> Mailbox<T> {
             }
             thread::park();
         }
+    }
+
+    /// Does not sleep while a box is promised, but at most for [`AWAKE`].
+    fn stay_awake(&self) {
+        if !self.is_forewarned.load(Ordering::Acquire) {
+            return;
+        }
+        let begin = Instant::now();
+        while self.is_forewarned.load(Ordering::Acquire) && begin.elapsed() < AWAKE {
+            core::hint::spin_loop();
+        }
+        self.is_forewarned.store(false, Ordering::Release);
     }
 
     /// Waits for the next box, at most until `until`.
@@ -153,6 +180,25 @@ mod tests {
         all.extend(displaced);
         all.sort_unstable();
         assert!(all.into_iter().eq(0..10_000));
+    }
+
+    #[test]
+    fn a_promise_that_is_broken_holds_nobody_up() {
+        let mailbox = Arc::new(Mailbox::default());
+        let reader = {
+            let mailbox = Arc::clone(&mailbox);
+            thread::spawn(move || {
+                mailbox.claim();
+                std::iter::from_fn(|| mailbox.wait()).map(|number| *number).collect::<Vec<u32>>()
+            })
+        };
+        mailbox.forewarn();
+        thread::sleep(10 * AWAKE);
+        mailbox.forewarn();
+        assert!(mailbox.post(Box::new(7)).is_none());
+        mailbox.forewarn();
+        mailbox.close();
+        assert_eq!(reader.join().unwrap(), [7]);
     }
 
     #[test]

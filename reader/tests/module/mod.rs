@@ -57,6 +57,11 @@ impl Module {
         })
     }
 
+    /// What the publisher says before it makes a message.
+    pub(crate) fn prepare(&mut self) {
+        self.sink.prepare();
+    }
+
     /// Publishes, stamped with this instant; the check sum is of no use in shared memory, and left as it is.
     pub(crate) fn publish(&mut self) -> Result<(), SinkMiss> {
         self.message[SEQUENCE].copy_from_slice(&self.sequence.to_le_bytes());

@@ -120,9 +120,10 @@ impl PublisherThread {
     }
 
     fn take_answer(&mut self, job: Box<KeyFrameJob>, mut output: Box<KeyFrameOutput>) {
-        let clock = &self.shared.clock;
         let sequence = output.sequence;
         self.shared.publisher_progress.enter(Stage::Emit);
+        self.prepare();
+        let clock = &self.shared.clock;
         let verdict = guarded(|| self.task.answer(clock.now(), &mut output, clock));
         match verdict {
             Ok(Verdict::Publish) => {
@@ -230,6 +231,13 @@ impl PublisherThread {
         }
         self.shared.is_published.store(true, Ordering::Release);
         self.shared.observer_bell.ring();
+    }
+
+    fn prepare(&mut self) {
+        for sink in &mut self.sinks {
+            // What is wrong with it shows when it publishes.
+            let _ = guarded(|| sink.prepare());
+        }
     }
 
     fn send(&mut self, output: &KeyFrameOutput) {

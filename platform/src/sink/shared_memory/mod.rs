@@ -164,6 +164,10 @@ impl SinkPort for SharedMemorySink {
         }
         posted
     }
+
+    fn prepare(&mut self) {
+        self.desk.letters.forewarn();
+    }
 }
 
 impl Drop for SharedMemorySink {
