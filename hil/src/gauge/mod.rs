@@ -30,8 +30,9 @@ pub(crate) struct RecordArgs {
     /// Length of the drive.
     #[arg(long, default_value_t = 8.0)]
     seconds: f64,
-    /// Pictures a second: the emulated processor is slower than a real one.
-    #[arg(long, default_value_t = 10.0)]
+    /// Pictures a second: the emulated processor is slower than a real one. No key frame is due when a picture is, or a
+    /// microsecond would decide which picture becomes one.
+    #[arg(long, default_value_t = 9.7)]
     rate: f64,
 }
 

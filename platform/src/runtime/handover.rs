@@ -189,7 +189,9 @@ mod tests {
             let mailbox = Arc::clone(&mailbox);
             thread::spawn(move || {
                 mailbox.claim();
-                std::iter::from_fn(|| mailbox.wait()).map(|number| *number).collect::<Vec<u32>>()
+                std::iter::from_fn(|| mailbox.wait())
+                    .map(|number| *number)
+                    .collect::<Vec<u32>>()
             })
         };
         mailbox.forewarn();
