@@ -5,11 +5,13 @@
 //! whatever the drive's length, all of it resident from the start. Cost: O(1) a record, without allocation; so the
 //! publisher's thread may record too. Only what asks for a summary at the end allocates. A counter that is full stays so.
 
+mod counts;
 mod histogram;
 mod summary;
 #[cfg(test)]
 mod tests;
 
+pub use counts::LatencyCounts;
 pub use histogram::{LatencyHistogram, Percentiles};
 pub use summary::{Counts, Drops, Status};
 pub(crate) use summary::{SCALE, TRACKING};
