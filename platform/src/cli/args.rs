@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use super::{CalibrateCommand, MonitorArgs};
+use super::{CalibrateCommand, DrivesArgs, MergeArgs, MonitorArgs};
 use crate::camera::replay::KeyFrameRule;
 use crate::eval::masks::TruthKind;
 
@@ -360,6 +360,10 @@ Examples:
         #[arg(long)]
         json: bool,
     },
+    /// Drives of many cars, or one shard of them: deadlines, quality, latency, and truth where it is there.
+    Drives(DrivesArgs),
+    /// Join the parts of all shards: one table, exact totals.
+    Merge(MergeArgs),
 }
 
 fn seconds(text: &str) -> Result<f64, String> {

@@ -6,7 +6,7 @@ use freespace::space::{Micros, Pose};
 use freespace::track::{WheelOdometer, WheelReading};
 use serde::Serialize;
 
-use super::{EvalCommand, Failure};
+use super::{EvalCommand, Failure, fleet};
 use crate::bad_input::{BadInput, read_text};
 use crate::config::{Config, Wheels};
 use crate::eval::{Truth, grid, masks, page, trajectory};
@@ -64,6 +64,8 @@ pub fn run(command: &EvalCommand) -> Result<(), Failure> {
                 print_trajectory(&score);
             }
         }
+        EvalCommand::Drives(args) => fleet::drives(args)?,
+        EvalCommand::Merge(args) => fleet::merge(args)?,
         EvalCommand::Wheels { log, config, json } => wheels(log, config, *json)?,
         EvalCommand::Grid {
             predictions,

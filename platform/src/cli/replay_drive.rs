@@ -29,8 +29,9 @@ pub(super) fn run(args: &ReplayArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What the replay of a recorded drive came to.
+/// A recorded drive, and what its replay came to.
 pub(super) struct Replayed {
+    pub(super) drive: RecordedDrive,
     pub(super) report: Report,
     /// Who ran the network.
     engine: String,
@@ -123,6 +124,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     }
     let report = recording.finish(&counts, &statistics, judged.truth)?;
     Ok(Replayed {
+        drive: recorded,
         report,
         engine,
     })

@@ -2,8 +2,9 @@
 //!
 //! Pure functions over decoded values in [`masks`], [`trajectory`] and [`grid`]; what they read from disk they read
 //! through `*_in` and `read*` functions, whose faults are [`crate::bad_input::BadInput`]. [`Truth`] is what a report says,
-//! and [`page`] shows it in pictures.
+//! [`page`] shows it in pictures, and [`fleet`] adds up many drives.
 
+pub mod fleet;
 pub mod grid;
 pub mod masks;
 pub mod npy;

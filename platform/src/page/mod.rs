@@ -3,8 +3,10 @@
 //! Pieces of HTML from numbers and pictures; what comes from outside is escaped here. [`Page`] is the frame of those pages that
 //! need no script; the page of a run ([`crate::sink::recording`]) has a player, and a frame of its own.
 
+mod bars;
 mod path;
 
+pub(crate) use bars::latency_bars;
 pub(crate) use path::paths;
 
 use std::fmt::Write as _;

@@ -74,6 +74,17 @@ const LEVELS: [QualityLevel; 6] = [
     QualityLevel::Invalid,
 ];
 
+/// Names of the quality levels, best first.
+pub(crate) const LEVEL_NAMES: [&str; LEVELS.len()] = {
+    let mut names = [""; LEVELS.len()];
+    let mut level = 0;
+    while level < LEVELS.len() {
+        names[level] = LEVELS[level].name();
+        level += 1;
+    }
+    names
+};
+
 /// A drive in numbers.
 #[derive(Clone, Debug)]
 pub struct DriveStatistics {

@@ -3,10 +3,12 @@
 //! In: scores, and the files that they were made of. Out: the text of an HTML page, some 2 MB at most: six frames are shown whatever
 //! their number, large ones smaller.
 
+mod fleet;
 mod grid;
 mod masks;
 mod trajectory;
 
+pub use fleet::render as render_fleet;
 pub use grid::render as render_grid;
 pub use masks::render as render_masks;
 pub use trajectory::render as render_trajectory;
