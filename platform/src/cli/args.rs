@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use super::{CalibrateCommand, MonitorArgs};
+use super::{CalibrateCommand, DrivesArgs, MergeArgs, MonitorArgs};
 use crate::camera::replay::KeyFrameRule;
 use crate::eval::masks::TruthKind;
 
@@ -290,7 +290,9 @@ pub enum Ablation {
 #[derive(Debug, Subcommand)]
 pub enum EvalCommand {
     /// Road masks: precision, recall and F, pooled over all pixels.
-    #[command(after_help = "Example:\n  freespace eval masks out/drive/masks drive/labels --truth kitti")]
+    #[command(
+        after_help = "Example:\n  freespace eval masks out/drive/masks drive/labels --truth kitti --html masks.html"
+    )]
     Masks {
         /// Folder of masks, NAME.png, 0 not road.
         predictions: PathBuf,
@@ -302,6 +304,9 @@ pub enum EvalCommand {
         /// Print each frame too.
         #[arg(long)]
         frames: bool,
+        /// Write a page with pictures, which stands alone.
+        #[arg(long, value_name = "FILE")]
+        html: Option<PathBuf>,
         /// Print JSON with the keys of report.json.
         #[arg(long)]
         json: bool,
@@ -319,6 +324,9 @@ Examples:
         /// Times of the truth's rows, one a line in seconds; pairs them with a TUM estimate.
         #[arg(long, value_name = "FILE")]
         times: Option<PathBuf>,
+        /// Write a page with pictures, which stands alone.
+        #[arg(long, value_name = "FILE")]
+        html: Option<PathBuf>,
         /// Print JSON with the keys of report.json.
         #[arg(long)]
         json: bool,
@@ -345,10 +353,17 @@ Examples:
         /// Farthest row compared, metres ahead of the vehicle origin.
         #[arg(long, value_name = "METRES", default_value_t = 30.0)]
         range: f64,
+        /// Write a page with pictures, which stands alone.
+        #[arg(long, value_name = "FILE")]
+        html: Option<PathBuf>,
         /// Print JSON with the keys of report.json.
         #[arg(long)]
         json: bool,
     },
+    /// Drives of many cars, or one shard of them: deadlines, quality, latency, and truth where it is there.
+    Drives(DrivesArgs),
+    /// Join the parts of all shards: one table, exact totals.
+    Merge(MergeArgs),
 }
 
 fn seconds(text: &str) -> Result<f64, String> {

@@ -197,12 +197,10 @@ impl Judge {
         let stamp = report.output.stamp;
         let cells = self.true_grid(stamp);
         self.see(stamp);
-        self.cells.add(
-            self.recorder.layout(),
-            &report.output.grid.occupancy,
-            &cells,
-            &RANGE_M,
-        );
+        let mut count = CellCount::default();
+        let layout = self.recorder.layout();
+        count.add(layout, &report.output.grid.occupancy, &cells, &RANGE_M);
+        self.cells.merge(&count);
         // Both have the camera's size, and every value is 0 or 1.
         if (self.pixels)
             .add(self.recorder.mask(), &self.mask, TruthKind::World)
@@ -210,7 +208,8 @@ impl Judge {
         {
             self.masks += 1;
         }
-        self.recorder.record_truth(report.index, &cells, &self.mask);
+        let iou = (count.either > 0).then(|| count.iou());
+        self.recorder.record_truth(report.index, &cells, &self.mask, iou);
     }
 }
 

@@ -2,15 +2,16 @@
 
 use std::path::Path;
 
-use freespace::space::Micros;
+use freespace::space::{Micros, Pose};
 use freespace::track::{WheelOdometer, WheelReading};
 use serde::Serialize;
 
-use super::{EvalCommand, Failure};
+use super::{EvalCommand, Failure, fleet};
 use crate::bad_input::{BadInput, read_text};
 use crate::config::{Config, Wheels};
-use crate::eval::{Truth, grid, masks, trajectory};
+use crate::eval::{Truth, grid, masks, page, trajectory};
 use crate::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
+use crate::whole_file::write_whole;
 
 /// What `--json` prints.
 #[derive(Serialize)]
@@ -29,9 +30,14 @@ pub fn run(command: &EvalCommand) -> Result<(), Failure> {
             truth_dir,
             truth,
             frames,
+            html,
             json,
         } => {
             let score = masks::compare_folders(predictions, truth_dir, *truth)?;
+            if let Some(html) = html {
+                let text = page::render_masks(&score, predictions, truth_dir, *truth)?;
+                write_whole(html, text.as_bytes())?;
+            }
             if *json {
                 print_json(Truth::default().with_road(&score.pooled, score.frames.len()));
             } else {
@@ -42,20 +48,30 @@ pub fn run(command: &EvalCommand) -> Result<(), Failure> {
             estimate,
             truth,
             times,
+            html,
             json,
         } => {
-            let score = compare_trajectories(estimate, truth, times.as_deref())?;
+            let (poses, true_poses) = paired_trajectories(estimate, truth, times.as_deref())?;
+            let score = compare_trajectories(estimate, &poses, &true_poses)?;
+            if let Some(html) = html {
+                let names = (&*estimate.to_string_lossy(), &*truth.to_string_lossy());
+                let text = page::render_trajectory(&score, &poses, &true_poses, names);
+                write_whole(html, text.as_bytes())?;
+            }
             if *json {
                 print_json(Truth::default().with_trajectory(&score));
             } else {
                 print_trajectory(&score);
             }
         }
+        EvalCommand::Drives(args) => fleet::drives(args)?,
+        EvalCommand::Merge(args) => fleet::merge(args)?,
         EvalCommand::Wheels { log, config, json } => wheels(log, config, *json)?,
         EvalCommand::Grid {
             predictions,
             truth_dir,
             range,
+            html,
             json,
         } => {
             if range.is_nan() || *range <= 0.0 {
@@ -63,6 +79,10 @@ pub fn run(command: &EvalCommand) -> Result<(), Failure> {
                 return Err(BadInput::new(message, "give metres ahead, such as --range 30").into());
             }
             let score = grid::compare_folders(predictions, truth_dir, &(0.0..*range))?;
+            if let Some(html) = html {
+                let text = page::render_grid(&score, predictions, truth_dir, *range)?;
+                write_whole(html, text.as_bytes())?;
+            }
             if *json {
                 print_json(Truth::default().with_grid(&score.pooled));
             } else {
@@ -73,22 +93,33 @@ pub fn run(command: &EvalCommand) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Reads, pairs and compares two trajectory files.
+/// Reads and pairs two trajectory files.
 ///
 /// # Errors
 /// Where a file is missing or malformed, or the two have no pose in common.
-fn compare_trajectories(
+fn paired_trajectories(
     estimate: &Path,
     truth: &Path,
     times: Option<&Path>,
-) -> Result<trajectory::TrajectoryScore, BadInput> {
+) -> Result<(Vec<Pose>, Vec<Pose>), BadInput> {
     let times = times.map(read_times).transpose()?;
-    let (poses, true_poses) = trajectory::associate(
+    trajectory::associate(
         (estimate, trajectory::read(estimate)?),
         (truth, trajectory::read(truth)?),
         times.as_deref(),
-    )?;
-    trajectory::compare(&poses, &true_poses).ok_or_else(|| {
+    )
+}
+
+/// Compares what is paired.
+///
+/// # Errors
+/// Fewer than two pairs.
+fn compare_trajectories(
+    estimate: &Path,
+    poses: &[Pose],
+    true_poses: &[Pose],
+) -> Result<trajectory::TrajectoryScore, BadInput> {
+    trajectory::compare(poses, true_poses).ok_or_else(|| {
         BadInput::of_file(
             estimate,
             "has fewer than two poses to compare",

@@ -8,6 +8,7 @@ use miette::{Diagnostic, MietteHandlerOpts, Report};
 use super::terminal;
 use crate::bad_input::BadInput;
 use crate::sink::recording::RecordingError;
+use crate::whole_file::WriteError;
 
 /// Why a command ended early.
 #[derive(Debug)]
@@ -61,6 +62,12 @@ impl From<RecordingError> for Failure {
             RecordingError::Folder(bad) => Self::bad_input(bad),
             RecordingError::Write { .. } => Self::internal(error),
         }
+    }
+}
+
+impl From<WriteError> for Failure {
+    fn from(error: WriteError) -> Self {
+        Self::internal(error)
     }
 }
 

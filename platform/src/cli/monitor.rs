@@ -2,6 +2,7 @@
 
 use std::io::{self, IsTerminal as _, Write as _};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -12,7 +13,8 @@ use freespace_reader::service::DEFAULT_NAME;
 use super::Failure;
 use crate::bad_input::BadInput;
 use crate::monitor::{
-    Now, ServeError, Server, Shared, Snapshot, State, follow, lock, render_plain, run_terminal,
+    Now, SENSORS, ServeError, Server, Shared, Snapshot, State, follow, lock, measure, render_plain,
+    run_terminal,
 };
 use crate::runtime::supervision::stop_on_signals;
 
@@ -34,7 +36,7 @@ Examples:
   freespace monitor --listen                    # page and metrics on http://127.0.0.1:8642
   freespace monitor --once --plain              # exit code 1 where no module publishes
 
-It reads shared memory only, and needs no rights but those of the module's user.")]
+It reads shared memory and the computer's temperatures only, and needs no rights but those of the module's user.")]
 pub struct MonitorArgs {
     /// Name of the module's service: `name` in its `[shared_memory]`.
     #[arg(long, value_name = "NAME", default_value = DEFAULT_NAME)]
@@ -64,6 +66,7 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
     stop_on_signals(&stop).map_err(failed)?;
     let state: Shared = Arc::new(Mutex::new(State::new(&args.name)));
     let _follower = follow(&args.name, Arc::clone(&state)).map_err(failed)?;
+    let _thermometer = measure(Path::new(SENSORS), Arc::clone(&state)).map_err(failed)?;
     if args.once {
         return once(args, &state, &stop);
     }

@@ -18,7 +18,7 @@ use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
 use crate::runtime::{Devices, Setup};
-use crate::sink::recording::{Recording, RunTitle};
+use crate::sink::recording::{Recording, RunTitle, ScoreOf};
 use crate::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
 
 /// The checked inputs of a replay; network and CAN log are checked by their own readers.
@@ -185,8 +185,12 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         statistics,
     } = recorder.finish(&summary)?;
     let poses = recording.poses()?.into_iter().enumerate();
-    let truth = reference.compare(poses, &recording.mask_folder())?;
-    let report = recording.finish(&counts, &statistics, truth)?;
+    let judged = reference.compare(poses, &recording.mask_folder())?;
+    recording.know_path(reference.poses());
+    for (name, iou) in &judged.road_iou {
+        recording.score(name, ScoreOf::Road, *iou)?;
+    }
+    let report = recording.finish(&counts, &statistics, judged.truth)?;
     table::print(&report, &engine, Some(&args.out), args.json);
     Ok(())
 }

@@ -8,7 +8,7 @@ use freespace::port::{CameraPort, WheelPort};
 use freespace::track::WheelConfig;
 
 use super::drive::{self, DriveLog, Progress, Recorded, Recorder, Watch};
-use super::{Failure, Pace, ReplayArgs, Timing, replay, table};
+use super::{Failure, Pace, ReplayArgs, Timing, table};
 use crate::bad_input::BadInput;
 use crate::camera::replay::KeyFrameRule;
 use crate::camera::replay::drive::{DriveFrames, RecordedDrive};
@@ -16,14 +16,32 @@ use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
 use crate::runtime::{self, Devices, Setup};
-use crate::sink::recording::{Recording, RunTitle};
+use crate::sink::recording::{Recording, Report, RunTitle, ScoreOf};
 use crate::wheels::RecordedWheels;
+
+/// Replays a recorded drive, and prints what it came to.
+///
+/// # Errors
+/// As [`replay`].
+pub(super) fn run(args: &ReplayArgs) -> Result<(), Failure> {
+    let replayed = replay(args)?;
+    table::print(&replayed.report, &replayed.engine, Some(&args.out), args.json);
+    Ok(())
+}
+
+/// A recorded drive, and what its replay came to.
+pub(super) struct Replayed {
+    pub(super) drive: RecordedDrive,
+    pub(super) report: Report,
+    /// Who ran the network.
+    engine: String,
+}
 
 /// Replays a recorded drive.
 ///
 /// # Errors
 /// Bad input, before anything is written; or a folder that cannot be written to.
-pub(super) fn run(args: &ReplayArgs) -> Result<(), Failure> {
+pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     refuse_what_is_the_drives(args)?;
     let recorded = RecordedDrive::open(&args.source)?;
     for part in &recorded.cut {
@@ -52,7 +70,7 @@ pub(super) fn run(args: &ReplayArgs) -> Result<(), Failure> {
         },
     )?;
     let mut network = drive::open_network(&config)?;
-    config.crf.ablation = replay::ablation(args);
+    config.crf.ablation = super::replay::ablation(args);
     let odometer = odometer(&config).filter(|_| recorded.drive().has_wheels);
     let pipeline = drive::pipeline_config(&config, camera, odometer, recorded.drive().cadence());
     let title = RunTitle {
@@ -99,10 +117,17 @@ pub(super) fn run(args: &ReplayArgs) -> Result<(), Failure> {
         statistics,
     } = recorder.finish(&summary)?;
     let poses = recording.poses()?.into_iter().enumerate();
-    let truth = reference.compare(poses, &recording.mask_folder())?;
-    let report = recording.finish(&counts, &statistics, truth)?;
-    table::print(&report, &engine, Some(&args.out), args.json);
-    Ok(())
+    let judged = reference.compare(poses, &recording.mask_folder())?;
+    recording.know_path(reference.poses());
+    for (name, iou) in &judged.road_iou {
+        recording.score(name, ScoreOf::Road, *iou)?;
+    }
+    let report = recording.finish(&counts, &statistics, judged.truth)?;
+    Ok(Replayed {
+        drive: recorded,
+        report,
+        engine,
+    })
 }
 
 fn refuse_what_is_the_drives(args: &ReplayArgs) -> Result<(), BadInput> {

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::masks::files_by_stem;
+use super::masks::{any_files_by_stem, files_by_stem};
 use super::npy;
 use crate::bad_input::{BadInput, read_text};
 
@@ -72,6 +72,14 @@ impl CellCount {
         }
     }
 
+    /// Adds another count.
+    pub const fn merge(&mut self, other: &Self) {
+        self.both += other.both;
+        self.either += other.either;
+        self.falsely_free += other.falsely_free;
+        self.seen += other.seen;
+    }
+
     /// Intersection over union; zero where nothing was free.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "cell counts")]
@@ -94,19 +102,14 @@ pub struct GridScore {
     pub missing: Vec<String>,
 }
 
-/// Compares the grids of `predictions` with those of the same stem in `truth`.
+/// Compares the grids of `predictions` with those of the same stem in `truth`, of which there may be none.
 ///
 /// # Errors
-/// A folder without grids, no common name, a malformed file, or layouts that differ.
-pub fn compare_folders(
-    predictions: &Path,
-    truth: &Path,
-    range_m: &Range<f64>,
-) -> Result<GridScore, BadInput> {
-    let predicted = files_by_stem(predictions, "npy")?;
-    let truths = files_by_stem(truth, "npy")?;
+/// A folder that cannot be listed, a truth without grids, a malformed file, or layouts that differ.
+pub fn compare_common(predictions: &Path, truth: &Path, range_m: &Range<f64>) -> Result<GridScore, BadInput> {
+    let predicted = any_files_by_stem(predictions, "npy")?;
     let mut score = GridScore::default();
-    for (name, truth_path) in &truths {
+    for (name, truth_path) in &files_by_stem(truth, "npy")? {
         let Some(path) = predicted.get(name) else {
             score.missing.push(name.clone());
             continue;
@@ -125,18 +128,28 @@ pub fn compare_folders(
         }
         let mut count = CellCount::default();
         count.add(&layout, &values, &truth_values, range_m);
-        score.pooled.both += count.both;
-        score.pooled.either += count.either;
-        score.pooled.falsely_free += count.falsely_free;
-        score.pooled.seen += count.seen;
+        score.pooled.merge(&count);
         score.frames.push((name.clone(), count));
     }
+    Ok(score)
+}
+
+/// The same, where at least one name must be common.
+///
+/// # Errors
+/// As [`compare_common`], and no common name.
+pub fn compare_folders(
+    predictions: &Path,
+    truth: &Path,
+    range_m: &Range<f64>,
+) -> Result<GridScore, BadInput> {
+    let score = compare_common(predictions, truth, range_m)?;
     if score.frames.is_empty() {
         return Err(BadInput::of_file(
             predictions,
             format!(
                 "none of the {} grids in {} has its counterpart here",
-                truths.len(),
+                score.missing.len(),
                 truth.display()
             ),
             "grids are matched by file name",
@@ -145,7 +158,7 @@ pub fn compare_folders(
     Ok(score)
 }
 
-fn read(path: &Path) -> Result<(GridLayout, Vec<i8>), BadInput> {
+pub(super) fn read(path: &Path) -> Result<(GridLayout, Vec<i8>), BadInput> {
     let (rows, columns, values) = npy::read_i8(path)?;
     let header = path.with_extension("json");
     let text = read_text(

@@ -111,6 +111,12 @@ impl PixelCount {
         ratio(self.hits, self.hits + self.misses)
     }
 
+    /// Intersection over union of road; zero where there was none in either.
+    #[must_use]
+    pub fn iou(&self) -> f64 {
+        ratio(self.hits, self.hits + self.false_alarms + self.misses)
+    }
+
     /// Harmonic mean of precision and recall.
     #[must_use]
     pub fn f(&self) -> f64 {
@@ -130,13 +136,13 @@ pub struct MaskScore {
 }
 
 /// A decoded 8-bit image of one channel.
-struct GrayFile {
-    width: u32,
-    height: u32,
-    pixels: Vec<u8>,
+pub(super) struct GrayFile {
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) pixels: Vec<u8>,
 }
 
-fn read_gray(path: &Path) -> Result<GrayFile, BadInput> {
+pub(super) fn read_gray(path: &Path) -> Result<GrayFile, BadInput> {
     let image = image::ImageReader::open(path)
         .and_then(image::ImageReader::with_guessed_format)
         .map_err(|error| error.to_string())
@@ -162,29 +168,40 @@ fn read_gray(path: &Path) -> Result<GrayFile, BadInput> {
     }
 }
 
-/// PNG files of a folder by stem.
+/// What a folder of one kind of file should be.
+fn folder_of(ending: &str) -> String {
+    format!("give a folder of NAME.{ending} files")
+}
+
+/// Files of a folder by stem; at least one.
 pub(super) fn files_by_stem(folder: &Path, ending: &str) -> Result<BTreeMap<String, PathBuf>, BadInput> {
-    let fix = format!("give a folder of NAME.{ending} files");
+    let files = any_files_by_stem(folder, ending)?;
+    if files.is_empty() {
+        let what = format!("holds no .{ending} file");
+        return Err(BadInput::of_file(folder, what, folder_of(ending)));
+    }
+    Ok(files)
+}
+
+/// The same, of which there may be none.
+pub(super) fn any_files_by_stem(folder: &Path, ending: &str) -> Result<BTreeMap<String, PathBuf>, BadInput> {
+    let fix = folder_of(ending);
     let listing = std::fs::read_dir(folder)
         .map_err(|error| BadInput::of_file(folder, format!("cannot be listed: {error}"), fix.as_str()))?;
-    let files: BTreeMap<String, PathBuf> = listing
+    Ok(listing
         .filter_map(Result::ok)
         .map(|entry| entry.path())
         .filter(|path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)))
         .filter_map(|path| Some((path.file_stem()?.to_str()?.to_owned(), path)))
-        .collect();
-    if files.is_empty() {
-        return Err(BadInput::of_file(folder, format!("holds no .{ending} file"), fix));
-    }
-    Ok(files)
+        .collect())
 }
 
 /// Compares the masks of `predictions` with the truth files of the same stem, of which there may be none.
 ///
 /// # Errors
-/// A folder without files, sizes that differ, or a truth value that `kind` does not have.
+/// A folder that cannot be listed, a truth without files, sizes that differ, or a truth value that `kind` does not have.
 pub fn compare_common(predictions: &Path, truth: &Path, kind: TruthKind) -> Result<MaskScore, BadInput> {
-    let predicted = files_by_stem(predictions, "png")?;
+    let predicted = any_files_by_stem(predictions, "png")?;
     let mut score = MaskScore::default();
     for (name, truth_path) in &files_by_stem(truth, "png")? {
         let Some(path) = predicted.get(name) else {

@@ -1,11 +1,14 @@
 //! Comparison with truth: masks, trajectories and grids.
 //!
 //! Pure functions over decoded values in [`masks`], [`trajectory`] and [`grid`]; what they read from disk they read
-//! through `*_in` and `read*` functions, whose faults are [`crate::bad_input::BadInput`]. [`Truth`] is what a report says.
+//! through `*_in` and `read*` functions, whose faults are [`crate::bad_input::BadInput`]. [`Truth`] is what a report says,
+//! [`page`] shows it in pictures, and [`fleet`] adds up many drives.
 
+pub mod fleet;
 pub mod grid;
 pub mod masks;
 pub mod npy;
+pub mod page;
 pub mod reference;
 pub mod trajectory;
 

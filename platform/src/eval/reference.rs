@@ -9,6 +9,15 @@ use super::{Truth, trajectory};
 use crate::bad_input::BadInput;
 use crate::config::ImageSize;
 
+/// A run compared with the truth.
+#[derive(Clone, Debug, Default)]
+pub struct Judged {
+    /// All of it together; none where there is no truth.
+    pub truth: Option<Truth>,
+    /// Intersection over union of road of each labelled frame that has a mask, by name.
+    pub road_iou: Vec<(String, f64)>,
+}
+
 /// Truth of a replay, checked before the run.
 #[derive(Clone, Debug, Default)]
 pub struct Reference {
@@ -43,7 +52,13 @@ impl Reference {
         })
     }
 
-    /// Compares a run: its poses by index in the sequence, and the folder of its masks. None where there is no truth.
+    /// True poses by index in the sequence; none where they are not known.
+    #[must_use]
+    pub fn poses(&self) -> &[Pose] {
+        self.poses.as_deref().unwrap_or_default()
+    }
+
+    /// Compares a run: its poses by index in the sequence, and the folder of its masks.
     ///
     /// # Errors
     /// Where a truth mask is malformed or has another size than the frames.
@@ -51,7 +66,8 @@ impl Reference {
         &self,
         estimate: impl IntoIterator<Item = (usize, Pose)>,
         mask_folder: &Path,
-    ) -> Result<Option<Truth>, BadInput> {
+    ) -> Result<Judged, BadInput> {
+        let mut road_iou = Vec::new();
         let mut truth = Truth::default();
         if let Some(poses) = &self.poses {
             let (run, wanted): (Vec<Pose>, Vec<Pose>) = estimate
@@ -67,7 +83,12 @@ impl Reference {
             if !score.frames.is_empty() {
                 truth = truth.with_road(&score.pooled, score.frames.len());
             }
+            let frames = score.frames.into_iter();
+            road_iou = frames.map(|(name, count)| (name, count.iou())).collect();
         }
-        Ok((truth != Truth::default()).then_some(truth))
+        Ok(Judged {
+            truth: (truth != Truth::default()).then_some(truth),
+            road_iou,
+        })
     }
 }

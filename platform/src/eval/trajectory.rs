@@ -146,6 +146,12 @@ fn best_rotation(s: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     Some(*quaternion.to_rotation_matrix().matrix())
 }
 
+/// Length of a path.
+#[must_use]
+pub fn path_length_m(poses: &[Pose]) -> f64 {
+    path_lengths(poses).last().copied().unwrap_or_default()
+}
+
 /// Length of the path up to each pose.
 fn path_lengths(poses: &[Pose]) -> Vec<f64> {
     let mut length = 0.0;

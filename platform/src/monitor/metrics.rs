@@ -25,7 +25,7 @@ impl Text {
         let _ = writeln!(self.0, "{name} {value}");
     }
 
-    /// A sample with a label; names of labels here need no escaping.
+    /// A sample with a label, whose value is escaped already or needs it not.
     fn labelled(&mut self, name: &str, label: &str, of: impl Display, value: impl Display) {
         let _ = writeln!(self.0, "{name}{{{label}=\"{of}\"}} {value}");
     }
@@ -79,7 +79,33 @@ pub fn render(state: &State, now: Now) -> String {
         gauges(&mut text, &last.header);
     }
     module(&mut text, state);
+    temperatures(&mut text, state, now);
     text.0
+}
+
+/// What may stand in a label's value.
+fn escaped(value: &str) -> String {
+    value
+        .replace('\\', "\\\\")
+        .replace('"', "\\\"")
+        .replace('\n', "\\n")
+}
+
+/// Those of the computer, whatever the module does; nothing where there is no sensor.
+fn temperatures(text: &mut Text, state: &State, now: Now) {
+    const NAME: &str = "freespace_temperature_celsius";
+    let zones = state.fresh_temperatures(now).map_or(&[][..], |read| &read.zones);
+    if zones.is_empty() {
+        return;
+    }
+    text.family(
+        NAME,
+        "gauge",
+        "Temperature of the computer, by the kernel's sensors.",
+    );
+    for zone in zones {
+        text.labelled(NAME, "zone", escaped(&zone.name), zone.celsius);
+    }
 }
 
 fn latency(text: &mut Text, state: &State) {

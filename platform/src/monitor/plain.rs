@@ -57,6 +57,12 @@ pub fn render(snapshot: &Snapshot) -> String {
         line("dropped_frames", module.dropped_frames.to_string());
         line("restarts", module.restarts.to_string());
     }
+    for read in &snapshot.temperatures {
+        line("temperature_c", format!("{:.1} {}", read.celsius, read.zone));
+    }
+    if let Some(note) = &snapshot.temperature_note {
+        line("temperature_note", note.clone());
+    }
     text
 }
 

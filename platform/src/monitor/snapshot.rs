@@ -72,8 +72,21 @@ pub struct Snapshot {
     pub module: Option<ViewStatus>,
     /// Whether there is a picture.
     pub has_picture: bool,
+    /// How warm the computer is, by sensor; empty where that is not known.
+    pub temperatures: Vec<Temperature>,
+    /// What is to be said of sensors that are not there, or not shown.
+    pub temperature_note: Option<String>,
     /// Names of the stages, in their order.
     pub stages: [&'static str; Stage::ALL.len()],
+}
+
+/// One sensor of the computer.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Temperature {
+    /// What it measures, in the kernel's words.
+    pub zone: String,
+    /// Degrees Celsius.
+    pub celsius: f64,
 }
 
 /// The last message in names and numbers.
@@ -320,6 +333,32 @@ pub(super) fn levels(state: &State) -> impl Iterator<Item = (&'static str, u64)>
     (0..6).map(level).zip(state.levels)
 }
 
+/// The sensors that are shown, and what is to be said of the others.
+fn temperatures(state: &State, now: Now) -> (Vec<Temperature>, Option<String>) {
+    let Some(read) = state.fresh_temperatures(now) else {
+        let why = if state.temperatures.is_none() {
+            "not read yet"
+        } else {
+            "a sensor has not answered for 10 s"
+        };
+        return (Vec::new(), Some(why.to_owned()));
+    };
+    let zones = read.zones.iter().map(|zone| Temperature {
+        zone: zone.name.clone(),
+        celsius: zone.celsius,
+    });
+    let note = match (read.zones.len() + read.unreadable, read.unreadable, read.left_out) {
+        (0, ..) => Some("this computer shows no sensor in /sys/class/thermal or /sys/class/hwmon".to_owned()),
+        (_, 0, 0) => None,
+        (_, 0, left_out) => Some(format!("{left_out} more are not shown")),
+        (_, unreadable, 0) => Some(format!("{unreadable} cannot be read")),
+        (_, unreadable, left_out) => Some(format!(
+            "{unreadable} cannot be read, {left_out} more are not shown"
+        )),
+    };
+    (zones.collect(), note)
+}
+
 impl Snapshot {
     /// Of a state, now.
     #[must_use]
@@ -337,6 +376,7 @@ impl Snapshot {
             (_, None) => Some(silent.to_owned()),
         };
         let faults = Faults::NAMED.map(|(_, name)| name).into_iter();
+        let (temperatures, temperature_note) = temperatures(state, now);
         Self {
             service: state.name.clone(),
             link,
@@ -362,6 +402,8 @@ impl Snapshot {
             misses: state.missed.iter().rev().map(KeyFrame::of).collect(),
             module: state.view.as_ref().map(|view| view.status.clone()),
             has_picture: state.view.as_ref().is_some_and(|view| !view.picture.is_empty()),
+            temperatures,
+            temperature_note,
             stages: Stage::ALL.map(Stage::name),
         }
     }

@@ -12,6 +12,7 @@ use freespace::space::Micros;
 use freespace::stage::Stage;
 use freespace_reader::ReaderError;
 
+use super::temperatures::Temperatures;
 use crate::statistics::LatencyHistogram;
 use crate::view::{View, ViewStatus};
 
@@ -21,6 +22,8 @@ pub const HISTORY: usize = 120;
 pub const MISSES: usize = 50;
 /// A module that has been silent for this long is not trusted to be alive: four key frames.
 pub(super) const STALE_MICROS: u64 = 2_000_000;
+/// Temperatures read this long ago are not those of now.
+const STALE_TEMPERATURE_MICROS: u64 = 10_000_000;
 /// Width of a bin of the latency histogram.
 pub(super) const BIN_MICROS: u64 = 10_000;
 /// Its bins; the last one is open.
@@ -188,6 +191,8 @@ pub struct State {
     pub(super) stages: [StageTotal; Stage::ALL.len()],
     pub(super) history: VecDeque<Entry>,
     pub(super) missed: VecDeque<Entry>,
+    /// None before they are read first.
+    pub(super) temperatures: Option<Temperatures>,
 }
 
 impl State {
@@ -213,6 +218,7 @@ impl State {
             stages: Default::default(),
             history: VecDeque::with_capacity(HISTORY),
             missed: VecDeque::with_capacity(MISSES),
+            temperatures: None,
         }
     }
 
@@ -300,6 +306,18 @@ impl State {
             view.picture = earlier.picture;
         }
         self.view = Some(view);
+    }
+
+    /// Takes how warm the computer is.
+    pub fn temperatures(&mut self, temperatures: Temperatures) {
+        self.temperatures = Some(temperatures);
+    }
+
+    /// How warm the computer is; none before that is known, and where a sensor has held up the readings.
+    #[must_use]
+    pub(super) fn fresh_temperatures(&self, now: Now) -> Option<&Temperatures> {
+        let read = self.temperatures.as_ref();
+        read.filter(|read| now.monotonic.since(read.at) < STALE_TEMPERATURE_MICROS)
     }
 
     /// How long the module has been silent; none before its first message.

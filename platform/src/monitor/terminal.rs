@@ -111,11 +111,14 @@ pub fn draw(frame: &mut Frame<'_>, state: &State, now: Now, layer: Layer, note: 
 
 fn panels(frame: &mut Frame<'_>, area: Rect, snapshot: &Snapshot) {
     let [state, latency, misses] =
-        Split::vertical([Constraint::Length(11), Constraint::Length(8), Constraint::Min(0)]).areas(area);
+        Split::vertical([Constraint::Length(12), Constraint::Length(8), Constraint::Min(0)]).areas(area);
     let block = Block::bordered().title("State");
     let lines = match &snapshot.message {
         Some(message) => facts(message, snapshot),
-        None => vec![Line::from("no message yet")],
+        None => vec![
+            Line::from("no message yet"),
+            Line::from(format!("heat      {}", heat(snapshot))),
+        ],
     };
     frame.render_widget(Paragraph::new(lines).block(block), state);
     let block = Block::bordered().title("Capture to publish");
@@ -209,7 +212,21 @@ fn facts(message: &MessageView, snapshot: &Snapshot) -> Vec<Line<'static>> {
             message.blame.unwrap_or("-").to_owned(),
             message.blame.is_none(),
         ),
+        fact("heat", heat(snapshot), !snapshot.temperatures.is_empty()),
     ]
+}
+
+/// The warmest sensors first, or why there is none.
+fn heat(snapshot: &Snapshot) -> String {
+    let mut warmest: Vec<_> = snapshot.temperatures.iter().collect();
+    warmest.sort_by(|a, b| b.celsius.total_cmp(&a.celsius));
+    if warmest.is_empty() {
+        return snapshot.temperature_note.clone().unwrap_or_default();
+    }
+    let named = warmest
+        .iter()
+        .map(|read| format!("{:.0} C {}", read.celsius, read.zone));
+    named.collect::<Vec<_>>().join(", ")
 }
 
 fn miss_lines(snapshot: &Snapshot) -> Vec<Line<'static>> {

@@ -98,6 +98,19 @@ impl Stream {
         Snapshot::of(&self.state, self.now)
     }
 
+    /// The computer's sensors as they are now.
+    pub(super) fn warm(&mut self, zones: &[(&str, f64)]) {
+        let zones = zones.iter().map(|(name, celsius)| Zone {
+            name: (*name).to_owned(),
+            celsius: *celsius,
+        });
+        self.state.temperatures(Temperatures {
+            zones: zones.collect(),
+            at: self.now.monotonic,
+            ..Temperatures::default()
+        });
+    }
+
     /// A drive with a network that was too late, and an instant without an answer.
     pub(super) fn with_misses() -> Self {
         let mut stream = Self::new();
@@ -121,6 +134,7 @@ impl Stream {
             ..Self::good()
         });
         stream.show();
+        stream.warm(&[("acpitz", 27.8), ("x86_pkg_temp", 61.0)]);
         stream
     }
 }
@@ -309,4 +323,43 @@ fn buckets_of_the_histogram_add_up() {
     );
     let sum = value("freespace_capture_to_publish_seconds_sum");
     assert!((sum - (8.0 * 0.042 + 0.231 + 0.4)).abs() < 1e-9, "{sum}");
+}
+
+#[test]
+fn temperatures_are_shown_everywhere_and_labels_escaped() {
+    let mut stream = Stream::with_misses();
+    let text = render_plain(&stream.snapshot());
+    assert!(text.contains("temperature_c       61.0 x86_pkg_temp\n"), "{text}");
+    let terminal = screen(&stream, (100, 32), Layer::Occupancy);
+    assert!(
+        terminal.contains("heat      61 C x86_pkg_temp, 28 C acpitz"),
+        "{terminal}"
+    );
+    let json = serde_json::to_value(stream.snapshot()).unwrap();
+    assert_eq!(
+        json["temperatures"][0],
+        serde_json::json!({"zone": "acpitz", "celsius": 27.8})
+    );
+    assert!(json["temperature_note"].is_null());
+    stream.warm(&[("a \"zone\" of\nC:\\", 40.5)]);
+    let metrics = render_metrics(&stream.state, stream.now);
+    let wanted = "freespace_temperature_celsius{zone=\"a \\\"zone\\\" of\\nC:\\\\\"} 40.5\n";
+    assert!(metrics.contains(wanted), "{metrics}");
+}
+
+#[test]
+fn a_computer_without_sensors_says_so_and_old_temperatures_are_not_shown() {
+    let mut stream = Stream::with_misses();
+    stream.warm(&[]);
+    let note = stream.snapshot().temperature_note.unwrap();
+    assert!(note.contains("shows no sensor in /sys/class/thermal"), "{note}");
+    assert!(screen(&stream, (120, 32), Layer::Occupancy).contains("heat      this computer shows no sensor"));
+    assert!(!render_metrics(&stream.state, stream.now).contains("temperature"));
+    stream.warm(&[("soc", 50.0)]);
+    stream.now.monotonic.0 += 11_000_000;
+    let snapshot = stream.snapshot();
+    assert!(snapshot.temperatures.is_empty());
+    assert!(snapshot.temperature_note.unwrap().contains("has not answered"));
+    assert!(!render_metrics(&stream.state, stream.now).contains("temperature"));
+    assert_eq!(Stream::new().snapshot().temperature_note.unwrap(), "not read yet");
 }

@@ -6,7 +6,7 @@
 //! no page is added later. A sample beyond the last bin counts in it; a count that would overflow stays at its largest value.
 //! Source: hdrhistogram, after G. Tene.
 
-use hdrhistogram::Histogram;
+use hdrhistogram::{Counter, Histogram};
 use serde::Serialize;
 
 /// The first bin's upper end.
@@ -52,11 +52,9 @@ impl LatencyHistogram {
     /// # Panics
     /// Never: the bounds are constants, and valid.
     #[must_use]
-    #[expect(clippy::expect_used, reason = "constant arguments; a test constructs one")]
     pub fn new() -> Self {
-        let bins = Histogram::new_with_bounds(SHORTEST_MICROS, LONGEST_MICROS, DIGITS);
         let mut histogram = Self {
-            bins: bins.expect("the bounds are valid"),
+            bins: bins(),
             max_micros: 0,
         };
         // Fresh zeros are one shared page; seen through `black_box`, clearing them cannot be left out.
@@ -79,16 +77,13 @@ impl LatencyHistogram {
     /// Percentiles of all samples; none of none.
     #[must_use]
     pub fn percentiles(&self) -> Option<Percentiles> {
-        if self.bins.is_empty() {
-            return None;
-        }
-        let at = |quantile: f64| millis(self.bins.value_at_quantile(quantile).min(self.max_micros));
-        Some(Percentiles {
-            p50: at(0.5),
-            p99: at(0.99),
-            p99_9: at(0.999),
-            max: millis(self.max_micros),
-        })
+        percentiles(&self.bins, self.max_micros)
+    }
+
+    /// Largest sample, exactly; 0 of none.
+    #[must_use]
+    pub const fn max_micros(&self) -> u64 {
+        self.max_micros
     }
 
     /// Smallest sample, as its bin's lower end.
@@ -106,6 +101,29 @@ impl LatencyHistogram {
             );
         }
     }
+}
+
+/// Empty bins, with counters of the wanted width.
+///
+/// # Panics
+/// Never: the bounds are constants, and valid.
+#[expect(clippy::expect_used, reason = "constant arguments; a test constructs one")]
+pub(super) fn bins<C: Counter>() -> Histogram<C> {
+    Histogram::new_with_bounds(SHORTEST_MICROS, LONGEST_MICROS, DIGITS).expect("the bounds are valid")
+}
+
+/// Percentiles of all samples, whose largest is known exactly; none of none.
+pub(super) fn percentiles<C: Counter>(bins: &Histogram<C>, max_micros: u64) -> Option<Percentiles> {
+    if bins.is_empty() {
+        return None;
+    }
+    let at = |quantile: f64| millis(bins.value_at_quantile(quantile).min(max_micros));
+    Some(Percentiles {
+        p50: at(0.5),
+        p99: at(0.99),
+        p99_9: at(0.999),
+        max: millis(max_micros),
+    })
 }
 
 #[expect(clippy::cast_precision_loss, reason = "microseconds of one drive")]

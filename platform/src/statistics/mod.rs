@@ -5,11 +5,13 @@
 //! whatever the drive's length, all of it resident from the start. Cost: O(1) a record, without allocation; so the
 //! publisher's thread may record too. Only what asks for a summary at the end allocates. A counter that is full stays so.
 
+mod counts;
 mod histogram;
 mod summary;
 #[cfg(test)]
 mod tests;
 
+pub use counts::LatencyCounts;
 pub use histogram::{LatencyHistogram, Percentiles};
 pub use summary::{Counts, Drops, Status};
 pub(crate) use summary::{SCALE, TRACKING};
@@ -71,6 +73,17 @@ const LEVELS: [QualityLevel; 6] = [
     QualityLevel::Moved,
     QualityLevel::Invalid,
 ];
+
+/// Names of the quality levels, best first.
+pub(crate) const LEVEL_NAMES: [&str; LEVELS.len()] = {
+    let mut names = [""; LEVELS.len()];
+    let mut level = 0;
+    while level < LEVELS.len() {
+        names[level] = LEVELS[level].name();
+        level += 1;
+    }
+    names
+};
 
 /// A drive in numbers.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ use image::codecs::jpeg::JpegEncoder;
 const WIDTH_PX: usize = 640;
 /// 0 to 100: 640x480 is 40 to 120 kB.
 const QUALITY: u8 = 70;
-const ROAD: [u8; 3] = [40, 200, 120];
+const ROAD: [u8; 3] = [255, 60, 170];
 const EDGE: [u8; 3] = [250, 250, 120];
 
 /// What a picture is drawn from.

@@ -12,7 +12,7 @@ use crate::cli::Failure;
 use crate::eval::grid::GridLayout;
 use crate::runtime::{FrameReport, KeyFrameReport, Observer, RunSummary, Start, Status, Trace};
 use crate::sink::recording::{
-    FrameRecord, ImageView, KeyFrameRecord, Recording, RecordingError, RunCounts, Upsampler,
+    FrameRecord, ImageView, KeyFrameRecord, Recording, RecordingError, RunCounts, ScoreOf, Upsampler,
 };
 use crate::statistics::{DriveStatistics, Publication};
 
@@ -77,13 +77,16 @@ impl Recorder {
         &self.mask
     }
 
-    /// Writes what is known to be true of a key frame.
-    pub(in crate::cli) fn record_truth(&mut self, index: u64, cells: &[i8], mask: &[u8]) {
+    /// Writes what is known to be true of a key frame, and the intersection over union of its free cells with those.
+    pub(in crate::cli) fn record_truth(&mut self, index: u64, cells: &[i8], mask: &[u8], iou: Option<f64>) {
         let size = (self.camera.width, self.camera.height);
-        let written = self
-            .recording
-            .truth(&self.name(index), &self.layout, cells, mask, size);
+        let name = self.name(index);
+        let written = self.recording.truth(&name, &self.layout, cells, mask, size);
         self.note(written);
+        if let Some(iou) = iou {
+            let written = self.recording.score(&name, ScoreOf::FreeSpace, iou);
+            self.note(written);
+        }
     }
 
     /// Writes a frame's true pose.

@@ -8,6 +8,7 @@ use std::borrow::Cow;
 
 use foxglove::Encode;
 use foxglove::schemas::{CameraCalibration, FrameTransform, Grid, Log, RawImage};
+use freespace::health::TrackingState;
 use freespace::space::Micros;
 use freespace::track::WheelReading;
 use serde::{Deserialize, Serialize};
@@ -213,6 +214,14 @@ pub struct FrameNote {
     pub is_key_frame: bool,
     /// State of the tracker.
     pub tracking: String,
+}
+
+impl FrameNote {
+    /// Whether its pose was tracked, not dead-reckoned.
+    #[must_use]
+    pub fn is_tracked(&self) -> bool {
+        self.tracking != format!("{:?}", TrackingState::DeadReckoning)
+    }
 }
 
 /// What left for a key frame.

@@ -15,7 +15,7 @@ use crate::bad_input::BadInput;
 const PARTIAL: &str = ".partial";
 
 /// Folders and files of a recording; the report is last, for it says that the recording is complete.
-const ENTRIES: [&str; 12] = [
+const ENTRIES: [&str; 13] = [
     "masks",
     "overlays",
     "birdseye",
@@ -25,6 +25,7 @@ const ENTRIES: [&str; 12] = [
     "trajectory.kitti",
     "trajectory.tum",
     "timing.csv",
+    "scores.csv",
     "latency.png",
     "index.html",
     "report.json",

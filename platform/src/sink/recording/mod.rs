@@ -13,13 +13,16 @@ mod latency;
 mod page;
 mod picture;
 mod report;
+mod scores;
 #[cfg(test)]
 mod tests;
 mod timing;
 mod trajectory;
 
+pub(crate) use picture::birdseye;
 pub use picture::{ImageView, Upsampler};
 pub use report::{LiveMemory, Report, RunCounts};
+pub use scores::ScoreOf;
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -34,6 +37,7 @@ use crate::eval::grid::GridLayout;
 use crate::eval::{self, Truth, npy};
 use crate::statistics::DriveStatistics;
 use folder::{LineFile, OutputFolder};
+use scores::ScoresFile;
 use timing::TimingFile;
 use trajectory::{KittiFile, Seconds, TumFile};
 
@@ -142,6 +146,9 @@ pub struct Recording {
     tum: TumFile,
     /// Only a simulated drive knows its true poses.
     truth: Option<KittiFile>,
+    /// True poses of a replay, relative to the first.
+    known_path: Vec<Pose>,
+    scores: ScoresFile,
     timing: TimingFile,
     can_log: LineFile,
     /// The picture being drawn.
@@ -159,6 +166,8 @@ impl Recording {
             kitti: KittiFile::new(folder.lines("trajectory.kitti")?),
             tum: TumFile::new(folder.lines("trajectory.tum")?)?,
             truth: None,
+            known_path: Vec::new(),
+            scores: ScoresFile::default(),
             timing: TimingFile::new(folder.lines("timing.csv")?)?,
             can_log: folder.lines("emitted.candump")?,
             pixels: Vec::new(),
@@ -188,6 +197,23 @@ impl Recording {
             self.truth = Some(KittiFile::new(self.folder.lines("truth/poses.txt")?));
         }
         self.truth.as_mut().map_or(Ok(()), |file| file.frame(frame))
+    }
+
+    /// Says where the car truly went, for the page; by place in the sequence.
+    pub fn know_path(&mut self, world_from_camera: &[Pose]) {
+        let first_from_world = world_from_camera.first().map(Pose::inverse).unwrap_or_default();
+        self.known_path = world_from_camera
+            .iter()
+            .map(|pose| first_from_world * pose)
+            .collect();
+    }
+
+    /// Writes how well a key frame agrees with the truth.
+    ///
+    /// # Errors
+    /// Where the file cannot be written.
+    pub fn score(&mut self, name: &str, of: ScoreOf, iou: f64) -> Result<(), RecordingError> {
+        self.scores.score(&self.folder, name, of, iou)
     }
 
     /// Writes the files of a key frame; a few milliseconds of one core at 640x480.
@@ -329,6 +355,7 @@ impl Recording {
         self.tum.finish()?;
         self.can_log.finish()?;
         self.timing.finish()?;
+        self.scores.finish()?;
         if let Some(truth) = &mut self.truth {
             truth.finish()?;
         }
@@ -336,13 +363,23 @@ impl Recording {
         let rgb = image::ColorType::Rgb8;
         (self.folder).png("latency.png", &self.pixels, width, height, rgb)?;
         let report = Report::new(counts, statistics, truth);
-        let positions: Vec<_> = self.poses()?.iter().map(|pose| pose.translation.vector).collect();
+        let positions =
+            |poses: &[Pose]| -> Vec<_> { poses.iter().map(|pose| pose.translation.vector).collect() };
+        let run_positions = positions(&self.poses()?);
+        let simulated = self.true_poses()?;
+        let true_positions = positions(if simulated.is_empty() {
+            &self.known_path
+        } else {
+            &simulated
+        });
         let run = page::Run {
             title: &self.title,
             folder: &self.folder,
             report: &report,
             rows: self.timing.rows(),
-            positions: &positions,
+            positions: &run_positions,
+            // A run that ended early went but a part of the way.
+            true_positions: &true_positions[..true_positions.len().min(run_positions.len())],
         };
         page::write(&run)?;
         self.folder.file("report.json", &json(&report))?;

@@ -1,8 +1,10 @@
 //! `index.html`: the run on one page that needs no network and no file beside it.
 //!
 //! Written piece by piece: one key frame's pictures are in memory at a time. A long run has more key frames than a browser
-//! takes; then every nth is shown, and of the misses the first [`MISSES_SHOWN`] too.
+//! takes; then every nth is shown, and besides the first [`MISSES_SHOWN`] misses, and the [`WORST_SHOWN`] that were slowest and
+//! that differ most from the truth. Those that one should look at first stand in a row of their own.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
 
@@ -10,8 +12,10 @@ use nalgebra::Vector3;
 
 use super::folder::OutputFolder;
 use super::report::Report;
+use super::scores::{self, Scores};
 use super::timing::{self, Row};
 use super::{RecordingError, RunTitle};
+use crate::page::{STYLE, base64, card, escaped, image, paths};
 use crate::statistics::Percentiles;
 
 /// Page frame: style, layout and the player; the rest is put in at the marks.
@@ -19,12 +23,12 @@ const TEMPLATE: &str = include_str!("page.html");
 /// Where the key frames go.
 const KEY_FRAMES: &str = "/*KEY_FRAMES*/[]";
 
-/// Key frames that the page shows at most, but for misses: with their pictures they are some 25 MB.
-const KEY_FRAMES_SHOWN: usize = 240;
+/// Key frames that the page shows at most, but for misses and the worst: with their pictures they are some 8 MB.
+const KEY_FRAMES_SHOWN: usize = 80;
 /// Misses shown besides.
-const MISSES_SHOWN: usize = 60;
-/// Points of the path that are drawn.
-const PATH_POINTS: usize = 1500;
+const MISSES_SHOWN: usize = 20;
+/// Slowest shown besides, and as many that differ most from the truth.
+const WORST_SHOWN: usize = 3;
 /// Widest overlay on the page; the full one is in `overlays/`.
 const PICTURE_WIDTH_PX: u32 = 960;
 /// Quality of the overlays on the page, 0 to 100.
@@ -39,6 +43,8 @@ pub(super) struct Run<'a> {
     pub(super) rows: usize,
     /// Of every frame, relative to the first camera.
     pub(super) positions: &'a [Vector3<f64>],
+    /// The same of the truth; none where it is not known.
+    pub(super) true_positions: &'a [Vector3<f64>],
 }
 
 /// Writes the page.
@@ -48,19 +54,48 @@ pub(super) fn write(run: &Run<'_>) -> Result<(), RecordingError> {
     let written = page.write_all(head(run, before).as_bytes());
     written.map_err(|error| page.fault(error))?;
     let stride = run.rows.div_ceil(KEY_FRAMES_SHOWN).max(1);
+    let scores = scores::read(&run.folder.partial("scores.csv"))?;
+    let worst = worst(run, &scores)?;
     let (mut separator, mut misses) = ("[", 0);
     for (i, row) in timing::rows(&run.folder.partial("timing.csv"))?.enumerate() {
-        let is_extra = i % stride != 0;
+        let is_extra = i % stride != 0 && !worst.contains(&i);
         if is_extra && (row.met || misses >= MISSES_SHOWN) {
             continue;
         }
         misses += usize::from(is_extra);
-        page.line(format_args!("{separator}{}", entry(run.folder, &row)))?;
+        let iou = scores.get(&row.name).copied();
+        page.line(format_args!("{separator}{}", entry(run.folder, &row, iou)))?;
         separator = ",";
     }
     let opening = if separator == "[" { "[" } else { "" };
     page.line(format_args!("{opening}]{}", after.trim_end()))?;
     page.finish()
+}
+
+/// Rows of the slowest key frames, and of those that differ most from the truth.
+fn worst(run: &Run<'_>, scores: &Scores) -> Result<BTreeSet<usize>, RecordingError> {
+    let (mut slowest, mut furthest) = (Worst::default(), Worst::default());
+    for (i, row) in timing::rows(&run.folder.partial("timing.csv"))?.enumerate() {
+        slowest.offer(i, row.latency_ms);
+        if let Some(iou) = scores.get(&row.name) {
+            furthest.offer(i, -iou);
+        }
+    }
+    Ok(slowest.0.into_iter().chain(furthest.0).map(|(i, _)| i).collect())
+}
+
+/// The rows with the largest values so far, the largest first.
+#[derive(Default)]
+struct Worst(Vec<(usize, f64)>);
+
+impl Worst {
+    fn offer(&mut self, row: usize, value: f64) {
+        let place = self.0.partition_point(|(_, other)| *other >= value);
+        if place < WORST_SHOWN {
+            self.0.insert(place, (row, value));
+            self.0.truncate(WORST_SHOWN);
+        }
+    }
 }
 
 /// The page up to the key frames.
@@ -69,12 +104,13 @@ fn head(run: &Run<'_>, template: &str) -> String {
     let heading = if title.is_empty() { "freespace run" } else { title };
     let stages = freespace::stage::Stage::ALL.map(freespace::stage::Stage::name);
     template
+        .replace("<!--STYLE-->", STYLE)
         .replace("<!--TITLE-->", &escaped(heading))
         .replace("<!--CARDS-->", &cards(run.report))
         .replace("<!--SHOWN-->", &shown(run.rows))
         .replace("<!--STAGES-->", &stage_table(run.report))
         .replace("<!--LATENCY-->", &latency(run))
-        .replace("<!--PATH-->", &path(run.positions))
+        .replace("<!--PATH-->", &paths(run.positions, run.true_positions))
         .replace("/*STAGES*/[]", &script_json(&stages))
 }
 
@@ -83,22 +119,23 @@ fn shown(rows: usize) -> String {
     match rows.div_ceil(KEY_FRAMES_SHOWN) {
         0 | 1 => String::new(),
         stride => format!(
-            "<div class=\"facts\">One key frame in {stride} of {rows} is shown, and misses besides.</div>"
+            "<div class=\"facts\">One key frame in {stride} of {rows} is shown, and misses and the worst besides.</div>"
         ),
     }
 }
 
 /// A key frame with its pictures.
-fn entry(folder: &OutputFolder, row: &Row) -> String {
+fn entry(folder: &OutputFolder, row: &Row, iou: Option<f64>) -> String {
     let picture = |kind: &str| {
         folder
             .read(&format!("{kind}/{}.png", row.name))
             .unwrap_or_default()
     };
     format!(
-        "{{\"row\":{},\"road\":{:.4},\"overlay\":\"data:image/jpeg;base64,{}\",\"birdseye\":\"data:image/png;base64,{}\"}}",
+        "{{\"row\":{},\"road\":{:.4},\"iou\":{},\"overlay\":\"data:image/jpeg;base64,{}\",\"birdseye\":\"data:image/png;base64,{}\"}}",
         script_json(row),
         road_share(&picture("masks")),
+        script_json(&iou),
         base64(&small_jpeg(&picture("overlays"))),
         base64(&picture("birdseye"))
     )
@@ -123,10 +160,7 @@ fn latency(run: &Run<'_>) -> String {
         String::new()
     };
     let png = run.folder.read("latency.png").unwrap_or_default();
-    format!(
-        "<img alt=\"time from capture to publication{said}\" src=\"data:image/png;base64,{}\">",
-        base64(&png)
-    )
+    image("png", &png, &format!("time from capture to publication{said}"))
 }
 
 /// JSON that may stand in a script element.
@@ -134,21 +168,6 @@ fn script_json(value: &impl serde::Serialize) -> String {
     serde_json::to_string(value)
         .unwrap_or_default()
         .replace("</", "<\\/")
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('"', "&quot;")
-}
-
-fn card(out: &mut String, label: &str, value: &str, state: &str) {
-    let _ = write!(
-        out,
-        "<div class=\"card {state}\"><b>{}</b><span>{}</span></div>",
-        escaped(value),
-        escaped(label)
-    );
 }
 
 fn cards(report: &Report) -> String {
@@ -231,52 +250,6 @@ fn stage_table(report: &Report) -> String {
     out
 }
 
-/// The path from above as an SVG picture, ahead of the first camera up.
-fn path(positions: &[Vector3<f64>]) -> String {
-    let stride = positions.len().div_ceil(PATH_POINTS).max(1);
-    let points: Vec<(f64, f64)> = positions
-        .iter()
-        .step_by(stride)
-        .chain(positions.last())
-        .map(|position| (position.x, -position.z))
-        .filter(|(x, y)| x.is_finite() && y.is_finite())
-        .collect();
-    if points.is_empty() {
-        return String::new();
-    }
-    let bounds = |values: &mut dyn Iterator<Item = f64>| {
-        values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)))
-    };
-    let (left, right) = bounds(&mut points.iter().map(|p| p.0));
-    let (top, bottom) = bounds(&mut points.iter().map(|p| p.1));
-    let extent = (right - left).max(bottom - top).max(1.0);
-    let scale = 200.0 / extent;
-    let place = |(x, y): &(f64, f64)| {
-        let x = 120.0 + (x - 0.5 * (left + right)) * scale;
-        (x, 115.0 + (y - 0.5 * (top + bottom)) * scale)
-    };
-    let mut svg = String::from(
-        "<svg viewBox=\"0 0 240 250\" role=\"img\" aria-label=\"path from above\"><polyline points=\"",
-    );
-    for point in &points {
-        let (x, y) = place(point);
-        let _ = write!(svg, "{x:.1},{y:.1} ");
-    }
-    svg.push_str("\"/>");
-    if let (Some(start), Some(end)) = (points.first().map(place), points.last().map(place)) {
-        let _ = write!(
-            svg,
-            "<circle class=\"start\" cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\"/><circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\"/>",
-            start.0, start.1, end.0, end.1
-        );
-    }
-    let _ = write!(
-        svg,
-        "<text x=\"120\" y=\"244\" text-anchor=\"middle\">{extent:.0} m across</text></svg>"
-    );
-    svg
-}
-
 /// An overlay as a small JPEG; empty where it cannot be made, which leaves a gap on the page.
 fn small_jpeg(png: &[u8]) -> Vec<u8> {
     let Ok(image) = image::load_from_memory(png) else {
@@ -293,19 +266,4 @@ fn small_jpeg(png: &[u8]) -> Vec<u8> {
         Ok(()) => bytes,
         Err(_) => Vec::new(),
     }
-}
-
-/// RFC 4648, section 4.
-pub(super) fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for group in bytes.chunks(3) {
-        let at = |i: usize| u32::from(group.get(i).copied().unwrap_or_default());
-        let bits = at(0) << 16 | at(1) << 8 | at(2);
-        for i in 0..4 {
-            let digit = DIGITS[(bits >> (18 - 6 * i) & 63) as usize];
-            out.push(if i <= group.len() { char::from(digit) } else { '=' });
-        }
-    }
-    out
 }

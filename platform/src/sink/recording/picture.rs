@@ -7,7 +7,7 @@
     reason = "pixel arithmetic: coordinates are bounded by the image"
 )]
 
-use super::canvas::{Canvas, Colour, mixed};
+use super::canvas::{Anchor, Canvas, Colour, mixed};
 use crate::eval::grid::{FREE_BELOW, GridLayout};
 
 /// A frame, one byte a pixel or three, row-major.
@@ -92,8 +92,8 @@ fn along(source: &[u8], columns: &[Tap], out: &mut [f32]) {
     }
 }
 
-/// Road tint, boundary and outline colours.
-const ROAD: Colour = [40, 200, 120];
+/// Road tint, boundary and outline colours: pink is the road in the paper's figures.
+const ROAD: Colour = [255, 60, 170];
 const BOUNDARY: Colour = [250, 250, 120];
 const OUTLINE: Colour = [255, 110, 60];
 
@@ -157,9 +157,35 @@ fn cell_colour(value: i8) -> Colour {
     }
 }
 
-/// Draws the grid seen from above into `out`, ahead up and left to the left, with rings each 10 m and the car; gives width and
-/// height.
-pub(super) fn birdseye(layout: &GridLayout, cells: &[i8], out: &mut Vec<u8>) -> (usize, usize) {
+/// The scale bar's length, and its distance from the picture's corner.
+const SCALE_M: f64 = 10.0;
+const SCALE_MARGIN_PX: f64 = 10.0;
+
+/// A bar of [`SCALE_M`] in the lower left corner, its length above it; nothing where it does not fit.
+fn draw_scale(canvas: &mut Canvas<'_>, px_per_m: f64) {
+    let length = (SCALE_M * px_per_m).round();
+    let (left, bottom) = (SCALE_MARGIN_PX, canvas.height as f64 - SCALE_MARGIN_PX);
+    let right = left + length;
+    if right + SCALE_MARGIN_PX > canvas.width as f64 || bottom < 40.0 {
+        return;
+    }
+    canvas.rectangle((left, bottom - 3.0), (right, bottom), RING, 8);
+    for x in [left, right - 2.0] {
+        canvas.rectangle((x, bottom - 9.0), (x + 2.0, bottom), RING, 8);
+    }
+    let label = format!("{SCALE_M:.0} m");
+    canvas.text(
+        (0.5 * (left + right), bottom - 13.0),
+        Anchor::Middle,
+        2,
+        &label,
+        RING,
+    );
+}
+
+/// Draws the grid seen from above into `out`, ahead up and left to the left, with rings each 10 m, a scale bar and the car;
+/// gives width and height.
+pub(crate) fn birdseye(layout: &GridLayout, cells: &[i8], out: &mut Vec<u8>) -> (usize, usize) {
     let [near_m, right_m] = layout.origin_in_vehicle_m;
     let cell_px = (VIEW_HEIGHT_PX / layout.rows.max(1)).max(1);
     let px_per_m = cell_px as f64 / layout.cell_m;
@@ -183,6 +209,7 @@ pub(super) fn birdseye(layout: &GridLayout, cells: &[i8], out: &mut Vec<u8>) -> 
             canvas.set(x, y, RING, 3);
         }
     }
+    draw_scale(&mut canvas, px_per_m);
     let (rear, front, half) = CAR_M;
     let (x0, y0) = place(front, half);
     let (x1, y1) = place(rear, -half);

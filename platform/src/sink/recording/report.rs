@@ -3,7 +3,7 @@
 use serde::{Serialize, Serializer};
 
 use crate::eval::Truth;
-use crate::statistics::{Counts, DriveStatistics, Drops, Percentiles};
+use crate::statistics::{Counts, DriveStatistics, Drops, LatencyCounts, Percentiles};
 
 /// What the pipeline counted.
 #[derive(Clone, Copy, Debug, Default)]
@@ -62,6 +62,8 @@ pub struct Report {
     pub allocations_after_start: Option<u64>,
     /// Time from capture to publication; null without key frames.
     pub capture_to_publish_ms: Option<Percentiles>,
+    /// The same times as counts, which add up over drives.
+    pub capture_to_publish: LatencyCounts,
     /// Time of each stage where it ran, in the order of the pipeline.
     #[serde(serialize_with = "as_map")]
     pub stages_ms: Vec<(&'static str, Percentiles)>,
@@ -107,6 +109,7 @@ impl Report {
             frames: counts.frames,
             allocations_after_start: counts.allocations_after_start,
             capture_to_publish_ms: statistics.capture_to_publish().percentiles(),
+            capture_to_publish: LatencyCounts::of(statistics.capture_to_publish()),
             stages_ms: statistics.stages_ms(),
             frame_ms: statistics.frame_ms(),
             levels: statistics.levels(),

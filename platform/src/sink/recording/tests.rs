@@ -193,6 +193,27 @@ fn trajectory_starts_at_identity_and_has_a_row_for_the_missing_frame() {
 }
 
 #[test]
+fn a_replay_shows_the_path_it_should_have_taken() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    let mut recording = Recording::create(&dir, RunTitle::default()).unwrap();
+    for index in 0..3 {
+        let frame = FrameRecord {
+            index,
+            stamp: Micros(index as u64),
+            world_from_camera: pose(index as f64),
+        };
+        recording.frame(&frame).unwrap();
+    }
+    recording.know_path(&[pose(5.0), pose(6.0), pose(7.5), pose(9.0)]);
+    recording
+        .finish(&RunCounts::default(), &DriveStatistics::new(), None)
+        .unwrap();
+    let page = fs::read_to_string(dir.join("index.html")).unwrap();
+    assert!(page.contains("path from above, and the true path") && page.contains(">truth<"));
+}
+
+#[test]
 fn page_stands_alone() {
     let parent = tempfile::tempdir().unwrap();
     let dir = parent.path().join("run");
@@ -313,7 +334,7 @@ fn a_sequence_that_begins_late_still_lines_up() {
 }
 
 #[test]
-fn a_long_run_shows_a_part_of_its_key_frames_and_all_misses() {
+fn a_long_run_shows_a_part_of_its_key_frames_misses_and_the_worst() {
     let parent = tempfile::tempdir().unwrap();
     let dir = parent.path().join("run");
     let mut recording = Recording::create(&dir, RunTitle::default()).unwrap();
@@ -340,20 +361,34 @@ fn a_long_run_shows_a_part_of_its_key_frames_and_all_misses() {
                 world_from_vehicle: Pose::identity(),
                 level: "full",
                 deadline_met: !is_miss,
-                publish_latency_ms: 1.0,
+                publish_latency_ms: if (200..204).contains(&i) && i != 202 {
+                    i as f64
+                } else {
+                    1.0
+                },
                 times: StageTimes::default(),
                 can_frames: &[],
                 outlines: &[],
             })
             .unwrap();
+        if (205..300).contains(&i) {
+            let name = format!("{i:06}");
+            recording
+                .score(&name, ScoreOf::FreeSpace, i as f64 * 1e-3)
+                .unwrap();
+        }
     }
     recording
         .finish(&RunCounts::default(), &DriveStatistics::new(), None)
         .unwrap();
     let page = fs::read_to_string(dir.join("index.html")).unwrap();
-    assert_eq!(page.matches("\"overlay\":").count(), 151);
-    assert!(page.contains("\"name\":\"000100\"") && page.contains("\"name\":\"000101\""));
-    assert!(page.contains("One key frame in 2 of 300 is shown"));
+    // Each fourth, the miss, the slowest (one of each fourth, and two more), and the three furthest from the truth.
+    assert_eq!(page.matches("\"overlay\":").count(), 75 + 1 + 2 + 3);
+    for name in ["000100", "000101", "000203", "000205", "000206", "000207"] {
+        assert!(page.contains(&format!("\"name\":\"{name}\"")), "{name}");
+    }
+    assert!(page.contains("\"iou\":0.207") && page.contains("\"iou\":null"));
+    assert!(page.contains("One key frame in 4 of 300 is shown"));
     let timing = fs::read_to_string(dir.join("timing.csv")).unwrap();
     assert_eq!(timing.lines().count(), 301);
 }
@@ -392,19 +427,6 @@ fn the_latency_picture_has_its_parts_even_where_nothing_was_published() {
     let (width, height) = latency::draw(&statistics, 0.0, &mut pixels);
     assert_eq!(pixels.len(), 3 * width * height);
     assert!(pixels != empty && empty.len() == pixels.len());
-}
-
-#[test]
-fn base64_as_in_the_rfc() {
-    for (bytes, wanted) in [
-        ("", ""),
-        ("f", "Zg=="),
-        ("fo", "Zm8="),
-        ("foo", "Zm9v"),
-        ("foob", "Zm9vYg=="),
-    ] {
-        assert_eq!(page::base64(bytes.as_bytes()), wanted);
-    }
 }
 
 #[test]

@@ -55,6 +55,8 @@ pub struct RecordedDrive {
     pub frame_notes: BTreeMap<u64, FrameNote>,
     /// What left for each key frame that had a frame, by its index.
     pub key_frame_notes: BTreeMap<u64, KeyFrameNote>,
+    /// What left for instants at which no frame came.
+    pub frameless_notes: Vec<KeyFrameNote>,
     /// Parts that end before their end.
     pub cut: Vec<CutPart>,
 }
@@ -76,6 +78,7 @@ struct Gathered {
     wheels: Vec<RecordedReading>,
     frame_notes: BTreeMap<u64, FrameNote>,
     key_frame_notes: BTreeMap<u64, KeyFrameNote>,
+    frameless_notes: Vec<KeyFrameNote>,
 }
 
 const AGAIN: &str = "give a file that freespace recorded with --mcap, or copy it again from its source";
@@ -137,6 +140,7 @@ impl RecordedDrive {
             wheels: gathered.wheels,
             frame_notes: gathered.frame_notes,
             key_frame_notes: gathered.key_frame_notes,
+            frameless_notes: gathered.frameless_notes,
             cut,
         })
     }
@@ -238,8 +242,9 @@ impl Gathered {
             }
             Topic::KeyFrame => {
                 let key_frame: KeyFrameNote = note(topic, data)?;
-                if let Some(frame) = key_frame.frame {
-                    self.key_frame_notes.insert(frame, key_frame);
+                match key_frame.frame {
+                    Some(frame) => drop(self.key_frame_notes.insert(frame, key_frame)),
+                    None => self.frameless_notes.push(key_frame),
                 }
             }
             Topic::Calibration | Topic::Transform | Topic::Grid | Topic::CanOut | Topic::Log => {}

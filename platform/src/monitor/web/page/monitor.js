@@ -54,7 +54,13 @@ function facts(state) {
 
 const counted = (counts) => counts.map(({ name, count }) => `${words(name)} ${count}`).join(", ") || "none";
 
-function counts({ totals, module, message }) {
+/** The warmest sensors first, and what is to be said of the others. */
+function warmth(temperatures, note) {
+  const warmest = [...temperatures].sort((a, b) => b.celsius - a.celsius);
+  return [...warmest.map(({ zone, celsius }) => `${zone} ${celsius.toFixed(1)} \u00b0C`), ...(note ? [note] : [])].join(", ");
+}
+
+function counts({ totals, module, message, temperatures, temperature_note: note }) {
   const list = [
     ["messages", `${totals.messages} since the monitor started, ${totals.lost} lost`],
     ["levels", counted(totals.levels)],
@@ -63,6 +69,7 @@ function counts({ totals, module, message }) {
     ["starts seen", String(totals.starts)],
     ["camera height", `${message.camera_height_m.toFixed(2)} m, ${message.plane_inliers} landmarks on the plane`],
   ];
+  list.push(["temperatures", warmth(temperatures, note)]);
   if (module) {
     list.push(["module", `${module.key_frames} key frames, ${module.deadline_misses} misses, ${module.restarts} restarts`]);
     list.push(["map", `${module.landmarks} landmarks, ${module.boxes} boxes`]);
