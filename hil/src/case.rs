@@ -45,6 +45,8 @@ pub(crate) struct Seen {
     pub(crate) broken: Vec<String>,
     /// From the end of the fault to the first good answer.
     pub(crate) recovery_s: Option<f64>,
+    /// Whether the rig itself was late: then this was not the drive that it was to be.
+    pub(crate) was_late: bool,
 }
 
 impl Seen {
@@ -83,6 +85,7 @@ impl Case {
         let watch = StallWatch::begin();
         let outcome = (self.run)(rig);
         let stalls = watch.map_or_else(|_| Stalls::default(), StallWatch::end);
+        let was_late = outcome.as_ref().is_ok_and(|seen| seen.was_late);
         let (verdict, mut seen, recovery_s) = match outcome {
             Ok(seen) if seen.broken.is_empty() => (Verdict::Passed, seen.words.join("; "), seen.recovery_s),
             Ok(seen) => {
@@ -97,7 +100,7 @@ impl Case {
         }
         let row = self.with(verdict, seen, recovery_s, begin.elapsed().as_secs_f64());
         Row {
-            is_disturbed: stalls.are_grave(),
+            is_disturbed: was_late || stalls.are_grave(),
             ..row
         }
     }

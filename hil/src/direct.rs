@@ -213,6 +213,7 @@ pub(crate) fn setup(
         plan: MemoryPlan::new(),
         lacks: Vec::new(),
         clock: MonotonicClock::default(),
+        slow: None,
     })
 }
 

@@ -28,6 +28,8 @@ pub(crate) struct Script {
     pub(crate) named: Faults,
     /// Best level that an answer may claim once the fault was named; none where it costs nothing.
     pub(crate) best: Option<QualityLevel>,
+    /// Answers that claim more all the same: a loopback device that is opened gives the picture that it kept, newly stamped.
+    pub(crate) kept_pictures: usize,
     /// Time from its end to a good answer.
     pub(crate) recovers_s: f64,
     pub(crate) slips: &'static [Slip],
@@ -42,12 +44,16 @@ impl Default for Script {
             end: Box::new(|_| Ok(())),
             named: Faults::NONE,
             best: None,
+            kept_pictures: 0,
             recovers_s: 3.0,
             slips: &[],
             blind: Blind::default(),
         }
     }
 }
+
+/// A picture may be sent so much after its time: a picture's period.
+const LATE_MS: u64 = 33;
 
 /// A steady drive before the fault, and after the recovery.
 const STEADY: Duration = Duration::from_secs(2);
@@ -81,7 +87,10 @@ pub(crate) fn drive(rig: &Rig, script: &Script) -> Result<Seen, BenchError> {
         let proud = marked
             .filter(|heard| heard.level < best && heard.faults.0 & script.named.0 == 0)
             .count();
-        seen.require(proud == 0, format!("{proud} answers better than {}", best.name()));
+        seen.require(
+            proud <= script.kept_pictures,
+            format!("{proud} answers better than {}", best.name()),
+        );
     }
     let worst = during.iter().map(|heard| heard.level).max();
     if let Some(worst) = worst {
@@ -142,6 +151,7 @@ pub(crate) fn finish(bench: Bench, blind: Blind, mut seen: Seen) -> Result<Seen,
     truth::judge(&frames, &road, &feed, &mut seen);
     let late_ms = feed.lateness_micros(road.rate_hz) / 1000;
     seen.note(format!("pictures at most {late_ms} ms late"));
+    seen.was_late = late_ms > LATE_MS;
     std::fs::write(rig.file("bus.candump"), candump(&frames, &rig.interface))?;
     Ok(seen)
 }

@@ -114,6 +114,9 @@ impl Drop for Listener {
     }
 }
 
+/// Between two tries to listen.
+const RETRY: Duration = Duration::from_millis(20);
+
 struct Ear {
     interface: String,
     frames: Arc<Mutex<Vec<Frame>>>,
@@ -128,14 +131,17 @@ impl Ear {
                 socket = open(&self.interface).ok();
             }
             let Some(open) = &socket else {
-                std::thread::sleep(Duration::from_millis(20));
+                std::thread::sleep(RETRY);
                 continue;
             };
             match open.read_frame() {
                 Ok(frame) => self.keep(&frame),
                 Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
-                // The interface is down or gone: listen again.
-                Err(_) => socket = None,
+                // The interface is down or gone: listen again, but not at once, for nothing else would get the processor.
+                Err(_) => {
+                    socket = None;
+                    std::thread::sleep(RETRY);
+                }
             }
         }
     }

@@ -1,10 +1,11 @@
 //! The simulated road as a camera and a car's brake controller would give it: YUYV pictures and wheel counters.
 //!
 //! In: the configuration that the module runs with, and a seed. Out: picture `n` at `n / rate` seconds and reading `n`, both
-//! depending on their number alone. Pictures are rendered ahead on a thread of normal priority and wait in a short queue.
+//! depending on their number alone. Pictures are rendered ahead on a thread of normal priority and wait in a short queue. A road
+//! that was painted before is driven round and round: where its pictures end, the car is at its start again.
 
 use std::fs::File;
-use std::io::{Read as _, Write as _};
+use std::io::{Read as _, Seek as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -19,15 +20,20 @@ const AHEAD: usize = 45;
 /// Above all normal work, under the module's own threads: a road that is late would be another road.
 const PRIORITY: u8 = 5;
 
+/// How long the map and the plane take after a new lap.
+const NEW_LAP_S: f64 = 4.0;
+
 /// What drives where.
 #[derive(Clone)]
 pub(crate) struct Road {
     pub(crate) world: Arc<World>,
     pub(crate) camera: Camera,
     pub(crate) rate_hz: f64,
-    /// Its pictures, painted before the drive; painted while it goes on where there is no such file, or at its end.
+    /// Its pictures, painted before the drive; painted while it goes on where there is no such file.
     pub(crate) tape: Option<PathBuf>,
     pub(crate) wheels: Arc<SimWheels>,
+    /// Of a wheel's counter.
+    modulus: u32,
     pub(crate) wheel_period_micros: u64,
 }
 
@@ -57,6 +63,7 @@ impl Road {
             world: Arc::new(World::new(&config, &Arc::new(Textures::new()))),
             camera: *camera,
             rate_hz,
+            modulus: odometer.modulus,
             wheel_period_micros: encoders.period_micros,
             wheels: Arc::new(SimWheels::new(&encoders)),
         }
@@ -87,10 +94,42 @@ impl Road {
 
     /// Wheel counts of reading `number`.
     pub(crate) fn counts(&self, number: u64) -> Option<[u32; 4]> {
+        let Some(lap) = self.lap_micros().map(|micros| micros / self.wheel_period_micros) else {
+            return self.first_lap(number);
+        };
+        let (of_lap, of_rest) = (self.first_lap(lap)?, self.first_lap(number % lap)?);
+        let start = self.first_lap(0)?;
+        let laps = u32::try_from(number / lap).ok()?;
+        Some(core::array::from_fn(|wheel| {
+            let of_lap = of_lap[wheel] + self.modulus - start[wheel];
+            (of_rest[wheel] + of_lap % self.modulus * laps) % self.modulus
+        }))
+    }
+
+    fn first_lap(&self, number: u64) -> Option<[u32; 4]> {
         match self.wheels.reading(&self.world, number) {
             WheelReading::Counts { counts, .. } => Some(counts),
             WheelReading::Speeds { .. } => None,
         }
+    }
+
+    /// Length of a lap; none where the road has no end.
+    fn lap_micros(&self) -> Option<u64> {
+        let picture_bytes = 2 * self.camera.width as u64 * self.camera.height as u64;
+        let bytes = std::fs::metadata(self.tape.as_ref()?).ok()?.len();
+        Some(picture_micros(bytes / picture_bytes, self.rate_hz))
+    }
+
+    /// Whether the car was put to the start of the road a moment ago: what was mapped before is elsewhere.
+    pub(crate) fn is_lap_new(&self, drive_s: f64) -> bool {
+        drive_s > NEW_LAP_S && self.world_seconds(drive_s) < NEW_LAP_S
+    }
+
+    /// Seconds of the world at this instant of the drive.
+    #[expect(clippy::cast_precision_loss, reason = "a drive of minutes")]
+    pub(crate) fn world_seconds(&self, drive_s: f64) -> f64 {
+        self.lap_micros()
+            .map_or(drive_s, |lap| drive_s % (lap as f64 * 1e-6))
     }
 
     /// Seconds of the world at picture `number`.
@@ -113,6 +152,8 @@ impl Road {
             file.write_all(&bytes)?;
             number += 1;
         }
+        // Or the disk would be busy with it while guests read it.
+        file.sync_all()?;
         std::fs::rename(unfinished, path)
     }
 
@@ -123,7 +164,10 @@ impl Road {
         for number in 0.. {
             let mut bytes = given_back.try_recv().unwrap_or_default();
             bytes.resize(2 * self.camera.width * self.camera.height, 0);
-            if !tape.as_mut().is_some_and(|tape| next_of(tape, &mut bytes)) {
+            let is_read = (tape.as_mut()).is_some_and(|tape| {
+                next_of(tape, &mut bytes) || (tape.rewind().is_ok() && next_of(tape, &mut bytes))
+            });
+            if !is_read {
                 tape = None;
                 camera.render(&self.world, self.picture_seconds(number), &mut picture);
                 yuyv(picture.pixels(), &mut bytes);

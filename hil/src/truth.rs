@@ -34,7 +34,8 @@ pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen)
         }
         let Some(grid) = reader.grid() else { continue };
         grids += 1;
-        if grid.level <= QualityLevel::NoRefinement {
+        let is_lap_new = road.is_lap_new(feed.seconds_at(grid.capture.0));
+        if grid.level <= QualityLevel::NoRefinement && !is_lap_new {
             let count = compare(&grid, road, feed);
             let share = falsely_free(&count);
             seen.require(
@@ -83,7 +84,7 @@ fn compare(grid: &ReceivedGrid<'_>, road: &Road, feed: &Feed) -> CellCount {
         cell_m,
         origin_in_vehicle_m: [0.0, -spec.side_m],
     };
-    let seconds = feed.seconds_at(grid.capture.0);
+    let seconds = road.world_seconds(feed.seconds_at(grid.capture.0));
     let truth = road.world.free_space_truth(&road.camera, seconds, &spec);
     let mut count = CellCount::default();
     if truth.len() == grid.occupancy.len() {

@@ -178,5 +178,6 @@ pub(crate) fn setup(
         plan: MemoryPlan::new(),
         lacks: Vec::new(),
         clock: MonotonicClock::default(),
+        slow: None,
     }
 }

@@ -59,13 +59,6 @@ pub(crate) const CASES: &[Case] = &[
         run: |rig| camera(rig, CameraFault::Silent, silent()),
     },
     Case {
-        name: "camera-unplugged",
-        injected: "the camera is gone for 4 s and comes back",
-        required: "camera_silent is named, an answer for each key frame",
-        is_quick: true,
-        run: |rig| camera(rig, CameraFault::Unplugged, silent()),
-    },
-    Case {
         name: "camera-wrong-size",
         injected: "the camera comes back with another size for 4 s",
         required: "no such frame is used, camera_silent is named",
@@ -87,6 +80,7 @@ fn silent() -> Script {
     Script {
         named: Faults::CAMERA_SILENT,
         best: Some(QualityLevel::Moved),
+        kept_pictures: 1,
         recovers_s: 5.0,
         ..Script::default()
     }

@@ -11,7 +11,7 @@ use crate::direct;
 use crate::drive::{Script, drive, finish};
 use crate::fault::CameraFault;
 use crate::feed::Feed;
-use crate::listener::Listener;
+use crate::listener::{Heard, Listener};
 use crate::module::{Log, Module};
 use crate::promise::Blind;
 
@@ -104,9 +104,11 @@ fn since(from: u64, to: u64) -> f64 {
 
 fn all_good_since(bench: &Bench, from: u64, seen: &mut Seen) {
     let heard = bench.listener.heard();
+    let is_on_its_way = |heard: &&Heard| !bench.road.is_lap_new(bench.feed.seconds_at(heard.at_micros));
     let bad: Vec<_> = heard
         .iter()
         .filter(|heard| heard.at_micros >= from && !heard.is_good(STANDING))
+        .filter(is_on_its_way)
         .collect();
     if let Some(first) = bad.first() {
         let what = crate::drive::names(first.faults);

@@ -17,8 +17,8 @@ use crate::promise::{Blind, judge};
 /// Cases of the driver.
 pub(crate) const CASES: &[Case] = &[
     Case {
-        name: "camera-disconnected",
-        injected: "the driver disconnects its device as USB does: every call fails until it is opened anew",
+        name: "camera-unplugged",
+        injected: "the device is disconnected, as USB does it: every call fails until it is opened anew",
         required: "camera_silent is named, answers go on, frames again",
         is_quick: true,
         run: |rig| control(rig, "disconnect=1"),
@@ -31,8 +31,8 @@ pub(crate) const CASES: &[Case] = &[
         run: |rig| control(rig, "inject_fatal_streaming_error=1"),
     },
     Case {
-        name: "camera-buffer-lost",
-        injected: "a tenth of all buffers come back with an error for 4 s",
+        name: "camera-frames-lost",
+        injected: "the driver drops a tenth of all frames for 4 s",
         required: "answers go on, frames again",
         is_quick: true,
         run: |rig| control(rig, "percentage_of_dropped_buffers=10"),

@@ -93,6 +93,7 @@ pub fn survey(
             plan: MemoryPlan::new(),
             lacks: Vec::new(),
             clock: MonotonicClock::default(),
+            slow: None,
         },
         &mut surveyor,
     );

@@ -1,12 +1,17 @@
 //! What can be said on the command line.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use freespace::space::Micros;
+use freespace::stage::Stage;
 
 use super::{CalibrateCommand, DrivesArgs, MergeArgs, MonitorArgs};
 use crate::camera::replay::KeyFrameRule;
 use crate::eval::masks::TruthKind;
+use crate::runtime::SlowStage;
 
 /// Where the road ahead is free, in metres and on time, from one camera and the wheel encoders.
 #[derive(Debug, Parser)]
@@ -158,7 +163,8 @@ Examples:
   freespace demo
   freespace demo --seconds 60 --seed 7 --out out/demo7
   freespace demo --mcap out/demo.mcap
-  freespace demo --seed 3 --pace fast --out out/demo3")]
+  freespace demo --seed 3 --pace fast --out out/demo3
+  freespace demo --slow crf=450@10                      # watch it: freespace monitor")]
 pub struct DemoArgs {
     /// Length of the drive in seconds.
     #[arg(long, default_value_t = 30.0, value_name = "N", value_parser = seconds, allow_negative_numbers = true)]
@@ -178,6 +184,10 @@ pub struct DemoArgs {
     /// Recording of the drive in MCAP.
     #[command(flatten)]
     pub mcap: McapArgs,
+    /// Make a stage slow for three seconds, to see how a miss is told: its name, how much longer it takes in milliseconds, and
+    /// the second of the drive from which on.
+    #[arg(long, value_name = "STAGE=MS@S", value_parser = slow_stage)]
+    pub slow: Option<SlowStage>,
     /// Print the report as JSON in place of the table.
     #[arg(long)]
     pub json: bool,
@@ -371,6 +381,29 @@ fn seconds(text: &str) -> Result<f64, String> {
         Ok(value) if (1.0..=3600.0).contains(&value) => Ok(value),
         _ => Err("give a number of seconds from 1 to 3600".to_owned()),
     }
+}
+
+/// How long a stage is slow.
+const SLOW_S: u64 = 3;
+
+fn slow_stage(text: &str) -> Result<SlowStage, String> {
+    let parse = || {
+        let (name, rest) = text.split_once('=')?;
+        let (millis, second) = rest.split_once('@')?;
+        let stage = SlowStage::STAGES.into_iter().find(|stage| stage.name() == name)?;
+        let millis = millis.parse().ok().filter(|millis| (1..=1000).contains(millis))?;
+        let second: u64 = second.parse().ok().filter(|second| *second <= 3600)?;
+        Some(SlowStage {
+            stage,
+            more: Duration::from_millis(millis),
+            from: Micros(second * 1_000_000),
+            until: Micros((second + SLOW_S) * 1_000_000),
+        })
+    };
+    parse().ok_or_else(|| {
+        let names = SlowStage::STAGES.map(Stage::name).join(", ");
+        format!("give a stage ({names}), 1 to 1000 ms and a second of the drive, such as crf=450@10")
+    })
 }
 
 fn test_seconds(text: &str) -> Result<f64, String> {

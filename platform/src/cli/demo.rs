@@ -10,6 +10,7 @@ use freespace::space::{Micros, Pose};
 
 use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
 use super::{DemoArgs, Failure, Pace, table};
+use crate::bad_input::BadInput;
 use crate::camera::{SimFrames, seconds_at};
 use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
@@ -30,6 +31,13 @@ pub(super) const SHIPPED: &str = "config/demo.toml";
 /// # Errors
 /// A bad configuration, or a folder that cannot be written to.
 pub fn run(args: &DemoArgs) -> Result<(), Failure> {
+    if args.slow.is_some() && args.pace == Pace::Fast {
+        return Err(BadInput::new(
+            "--slow is given with --pace fast",
+            "a slow stage shows at real pace only",
+        )
+        .into());
+    }
     let path = args.config.clone().unwrap_or_else(|| shipped(SHIPPED));
     let config = Config::load(&path)?;
     let camera = config.camera_for(&path, 640, 480)?;
@@ -118,6 +126,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
             plan: network.plan,
             lacks: network.lacks,
             clock: MonotonicClock::default(),
+            slow: None,
         },
         args.pace,
         &mut log.noted(&mut judge),

@@ -163,6 +163,7 @@ fn setup(config: PipelineConfig, network: Network, of: &Config) -> Setup {
         plan: network.plan,
         lacks: network.lacks,
         clock: MonotonicClock::default(),
+        slow: None,
     }
 }
 

@@ -174,6 +174,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
             plan: network.plan,
             lacks: network.lacks,
             clock: MonotonicClock::default(),
+            slow: None,
         },
         args.pace,
         &mut log.noted(&mut recorder),

@@ -105,6 +105,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         plan: network.plan,
         lacks: network.lacks,
         clock: MonotonicClock::default(),
+        slow: None,
     };
     let summary = match args.timing {
         Timing::Recorded => runtime::run_recorded(setup, recorded.times(), &mut recorder),

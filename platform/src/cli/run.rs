@@ -64,6 +64,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         plan: network.plan,
         lacks: network.lacks,
         clock: MonotonicClock::of_devices(),
+        slow: None,
     };
     let drive = Drive {
         args,

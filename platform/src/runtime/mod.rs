@@ -12,7 +12,7 @@ pub mod rights;
 pub mod supervision;
 mod trace;
 
-pub use live::{LiveRun, run_live};
+pub use live::{LiveRun, SlowStage, run_live};
 pub use lockstep::{
     FaultKind, FaultModel, Injection, KeyFrameTimes, RecordedTimes, Victim, run_in_lockstep, run_modelled,
     run_recorded,
@@ -172,6 +172,8 @@ pub struct Setup {
     pub lacks: Vec<Lack>,
     /// What the stamps of the devices are read on.
     pub clock: MonotonicClock,
+    /// A stage that a live run makes slow on purpose.
+    pub slow: Option<SlowStage>,
 }
 
 /// What a live run starts with.

@@ -1,4 +1,5 @@
-"""Looks at the monitor's page as a person would: it moves, it is read by keyboard, it is quiet, in light, dark and on a phone.
+"""Looks at the monitor's page as a person would: it moves, it is read by keyboard, it is quiet, it tells a miss
+and the stage to blame; in light, dark and on a phone.
 
 Usage: check.py URL FOLDER. Pictures go to FOLDER. Exit code 0 passed, 1 failed, 77 no browser.
 """
@@ -33,13 +34,13 @@ def browser_of(playwright):
         return playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
 
 
-def until(page, script, holds):
+def until(page, script, holds, within_ms=MOVES_MS):
     """Waits until `holds` of what `script` gives. From here: the page's own policy lets no waiting script be evaluated in it."""
-    for _ in range(MOVES_MS // 100):
+    for _ in range(within_ms // 100):
         if holds(page.evaluate(script)):
             return
         page.wait_for_timeout(100)
-    raise AssertionError(f"not within {MOVES_MS} ms: {script}")
+    raise AssertionError(f"not within {within_ms} ms: {script}")
 
 
 def moved(page, script):
@@ -66,6 +67,16 @@ def check_alive(page):
     moved(page, "document.getElementById('percentiles').textContent")
     assert page.locator("#latency rect.bar").count() >= 1, "the histogram has no bar"
     assert page.locator("#stages rect").count() >= 8, "no stage is drawn"
+
+
+# Key frames that were missed because of the stage that the demo makes slow.
+SLOW_MISSES = "[...document.querySelectorAll('#misses tr')].filter(row => row.cells[4].textContent === 'crf').length"
+
+
+def check_miss_appears(page, before):
+    assert before == 0, "the stage was slow before the page was looked at"
+    until(page, SLOW_MISSES, lambda misses: misses > 0, 30_000)
+    expect(page.locator("#blames")).to_contain_text("crf")
 
 
 def check_keyboard(page):
@@ -110,10 +121,12 @@ def look(browser, url, folder, name):
     page.on("request", lambda request: None if request.url.startswith((url, "data:")) else outside.append(request.url))
     page.goto(url)
     check_alive(page)
+    slow_before = page.evaluate(SLOW_MISSES)
     check_names(page)
     check_fits(page)
     if name == "light":
         check_keyboard(page)
+        check_miss_appears(page, slow_before)
     page.screenshot(path=str(folder / f"{name}.png"), full_page=True)
     context.close()
     assert not told, f"the browser complains: {told}"

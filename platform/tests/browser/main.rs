@@ -5,6 +5,9 @@ use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
+/// A stage that is slow long after the start, when a page has had the time to be looked at.
+const SLOW: &str = "crf=450@20";
+
 /// What a check exits with that cannot run here.
 const SKIPPED: i32 = 77;
 
@@ -53,7 +56,7 @@ fn demo(name: &str, folder: &Path) -> Running {
     let config = folder.join("demo.toml");
     std::fs::write(&config, text).unwrap();
     let child = Command::new(env!("CARGO_BIN_EXE_freespace"))
-        .args(["demo", "--seconds", "300", "--config"])
+        .args(["demo", "--seconds", "300", "--slow", SLOW, "--config"])
         .arg(&config)
         .arg("--out")
         .arg(folder.join("out"))

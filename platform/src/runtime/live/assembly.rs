@@ -63,6 +63,7 @@ impl Threads {
             config,
             devices,
             real_time,
+            slow,
             ..
         } = setup;
         let (width, height) = (config.camera.width, config.camera.height);
@@ -133,6 +134,7 @@ impl Threads {
             key_frame: KeyFrameThread {
                 task: Some(key_frame_task),
                 config,
+                slow,
                 network,
                 shared: Arc::clone(shared),
                 output: Some(output),

@@ -15,6 +15,7 @@ use super::super::page_faults::FaultMeter;
 use super::super::restart::{Panicked, guarded};
 use super::super::trace::{Event, Teller};
 use super::Shared;
+use super::slow::{Probe, SlowStage};
 
 /// What the publisher hears of the key-frame task.
 pub(super) enum KeyFrameNews {
@@ -33,6 +34,7 @@ pub(super) struct KeyFrameThread {
     /// None while it is made anew, for there is no room for two.
     pub(super) task: Option<KeyFrameTask>,
     pub(super) config: PipelineConfig,
+    pub(super) slow: Option<SlowStage>,
     pub(super) network: ThreadedNetwork,
     pub(super) shared: Arc<Shared>,
     /// The output being filled.
@@ -106,7 +108,11 @@ impl KeyFrameThread {
             job,
             &mut self.network,
             &self.shared.clock,
-            &self.shared.key_frame_progress,
+            &Probe {
+                progress: &self.shared.key_frame_progress,
+                slow: self.slow,
+                clock: &self.shared.clock,
+            },
             output,
             lesson,
         )

@@ -19,6 +19,7 @@ mod frame;
 mod key_frame;
 mod observe;
 mod publisher;
+mod slow;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -40,6 +41,7 @@ use crate::statistics::Drops;
 use assembly::Threads;
 #[cfg(test)]
 pub(in crate::runtime) use observe::LAST_WORD;
+pub use slow::SlowStage;
 
 /// What the threads share: hand-overs, progress and counters, none of it behind a lock.
 #[derive(Default)]
