@@ -21,7 +21,7 @@ const AHEAD: usize = 45;
 const PRIORITY: u8 = 5;
 
 /// How long the map and the plane take after a new lap.
-const NEW_LAP_S: f64 = 4.0;
+const NEW_LAP_S: f64 = 6.0;
 
 /// What drives where.
 #[derive(Clone)]
