@@ -54,6 +54,7 @@ extern "C" {
 #define FREESPACE_FAULT_RIGHTS_LACKING (0x00100000u)
 #define FREESPACE_FAULT_GRID_STALE (0x00200000u)
 #define FREESPACE_FAULT_KEY_FRAME_MISSING (0x00400000u)
+#define FREESPACE_FAULT_SHARING_FAILED (0x00800000u)
 
 /* What the functions return. */
 #define FREESPACE_OK (0) /* it worked */

@@ -64,6 +64,7 @@ FAULTS = {
     0x00100000: "rights_lacking",
     0x00200000: "grid_stale",
     0x00400000: "key_frame_missing",
+    0x00800000: "sharing_failed",
 }
 
 

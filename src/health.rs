@@ -219,8 +219,11 @@ impl Faults {
     /// A frame that should have become a key frame did not come through *frame* and *track* in time.
     pub const KEY_FRAME_MISSING: Self = Self(1 << 22);
 
+    /// An earlier message did not reach shared memory.
+    pub const SHARING_FAILED: Self = Self(1 << 23);
+
     /// Every fault with its name, in bit order.
-    pub const NAMED: [(Self, &'static str); 23] = [
+    pub const NAMED: [(Self, &'static str); 24] = [
         (Self::IMAGE_BLACK, "image_black"),
         (Self::IMAGE_OVEREXPOSED, "image_overexposed"),
         (Self::IMAGE_FROZEN, "image_frozen"),
@@ -244,6 +247,7 @@ impl Faults {
         (Self::RIGHTS_LACKING, "rights_lacking"),
         (Self::GRID_STALE, "grid_stale"),
         (Self::KEY_FRAME_MISSING, "key_frame_missing"),
+        (Self::SHARING_FAILED, "sharing_failed"),
     ];
 
     /// Whether all of `other` are in this set.

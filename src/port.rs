@@ -6,6 +6,7 @@ use alloc::vec::Vec;
 
 use crate::emit::CanFrame;
 use crate::frame::{PixelFormat, RawFrame, RgbImage};
+use crate::health::Faults;
 use crate::segmentation::RoadProbability;
 use crate::space::Micros;
 use crate::track::WheelReading;
@@ -122,7 +123,7 @@ pub trait WheelPort {
 /// Why a sink did not take a publication.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SinkMiss {
-    /// Its queue is full, or its bus is off: counted, and said in the next message.
+    /// Its queue is full, its bus is off, or an earlier message did not get through: counted, and said in the next message.
     Refused,
 }
 
@@ -133,6 +134,11 @@ pub trait SinkPort {
     /// # Errors
     /// [`SinkMiss`]; what was sent of the publication until then stays sent.
     fn publish(&mut self, message: &[u8], frames: &[CanFrame]) -> Result<(), SinkMiss>;
+
+    /// What a message says where this sink refused the one before it.
+    fn fault(&self) -> Faults {
+        Faults::CAN_SEND_FAILED
+    }
 
     /// A message is being made: a sink that hands over to another thread may wake it now, so that it is awake when
     /// [`SinkPort::publish`] comes, about a tenth of a millisecond later. It must not wait either; nothing may come after all.

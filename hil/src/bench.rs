@@ -61,6 +61,10 @@ impl From<BadInput> for BenchError {
     }
 }
 
+/// Lines of the shipped configuration.
+const SHIPPED_CAMERA: &str = "path = \"/dev/video0\"";
+const SHIPPED_BUS: &str = "interface = \"can0\"";
+
 impl Rig {
     /// The module's configuration, its camera and its odometer.
     pub(crate) fn config(&self) -> Result<(Config, Camera, WheelConfig), BenchError> {
@@ -86,6 +90,39 @@ impl Rig {
         let mut road = Road::new(self.seed, &camera, config.camera.frame_rate_hz, &odometer, slips);
         road.tape = self.tape.clone();
         Ok(road)
+    }
+
+    /// Lets the module's configuration name the rig's devices, where the shipped one names others.
+    pub(crate) fn take_devices(&mut self) -> Result<(), BenchError> {
+        let device = self.device.display().to_string();
+        let config = self.config_with(&[
+            (SHIPPED_CAMERA, &format!("path = \"{device}\"")),
+            (SHIPPED_BUS, &format!("interface = \"{}\"", self.interface)),
+        ])?;
+        self.installation.config = config;
+        Ok(())
+    }
+
+    /// The configuration with lines replaced, in a file of its own beside it, for its relative paths.
+    pub(crate) fn config_with(&self, lines: &[(&str, &str)]) -> Result<PathBuf, BenchError> {
+        let shipped = &self.installation.config;
+        let mut text = std::fs::read_to_string(shipped)?;
+        if lines.iter().all(|(old, new)| old == new) {
+            return Ok(shipped.clone());
+        }
+        for (old, new) in lines {
+            if !text.contains(old) {
+                return Err(BenchError::Config(format!(
+                    "{}: there is no `{old}`",
+                    shipped.display()
+                )));
+            }
+            text = text.replace(old, new);
+        }
+        let name = self.folder.file_name().unwrap_or_default().to_string_lossy();
+        let path = shipped.with_file_name(format!("rig-{name}.toml"));
+        std::fs::write(&path, text)?;
+        Ok(path)
     }
 
     /// A file of the case.

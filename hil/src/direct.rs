@@ -3,7 +3,7 @@
 //! The grids that the module recorded behind a real kernel's camera and bus must be those of this direct replay, its pictures
 //! those that were sent, and its path that of the car.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -27,7 +27,7 @@ use freespace_platform::world::{Sensor, SimCamera};
 
 use crate::bench::{Bench, BenchError, Rig};
 use crate::case::Seen;
-use crate::drive::finish;
+use crate::drive::{Ending, finish};
 use crate::feed::Sent;
 use crate::module::Log;
 use crate::promise::Blind;
@@ -54,7 +54,7 @@ pub(crate) fn case(rig: &Rig) -> Result<Seen, BenchError> {
     std::thread::sleep(DRIVE);
     let (road, start_micros) = (bench.road.clone(), bench.feed.start_micros);
     let logs = bench.feed.logs();
-    let mut seen = finish(bench, Blind::default(), Seen::default())?;
+    let mut seen = finish(bench, Blind::default(), Ending::Well, Seen::default())?;
     let (sent, wheels) = (logs.pictures(), logs.wheels());
     let counts = rig.file("wheels.candump");
     std::fs::write(&counts, crate::listener::candump(&wheels, &rig.interface))?;
@@ -128,8 +128,7 @@ fn replay(
     let decoder = WheelDecoder::open(&can.dbc, &can.mapping()).map_err(|error| words(&error))?;
     let mut wheels =
         CandumpWheels::open(counts, &decoder, &CandumpOptions::default()).map_err(|error| words(&error))?;
-    let lost = lost_counts(&mut wheels, drive);
-    seen.require(lost == 0, format!("{lost} wheel readings are not what was sent"));
+    compare_counts(&mut wheels, drive, seen);
     let manifest = Manifest::load(&config.network.manifest).map_err(|error| words(&error))?;
     let network = segmenter::open(&manifest, EngineChoice::Auto, config.network.threads)
         .map_err(|error| words(&error))?;
@@ -155,23 +154,40 @@ fn replay(
     Ok(collector.0)
 }
 
-/// Readings of the drive that are not, in order, among those that were sent.
-fn lost_counts(sent: &mut CandumpWheels, drive: &RecordedDrive) -> usize {
-    let mut counts = VecDeque::new();
-    sent.readings_until(Micros(u64::MAX), &mut |reading| {
-        counts.push_back(unstamped(reading))
-    });
-    let mut is_sent = |reading: WheelReading| {
-        while let Some(next) = counts.pop_front() {
-            if next == reading {
-                return true;
-            }
-        }
-        false
-    };
-    (drive.wheels.iter())
-        .filter(|recorded| !is_sent(unstamped(recorded.reading)))
-        .count()
+/// What does not hold of the drive's readings: each is one that was sent, in order, none between the first and the last is
+/// missing, and each was stamped when it was sent.
+fn compare_counts(sent: &mut CandumpWheels, drive: &RecordedDrive, seen: &mut Seen) {
+    let mut readings = Vec::new();
+    sent.readings_until(Micros(u64::MAX), &mut |reading| readings.push(reading));
+    let mut at = None;
+    let (mut strange, mut missing, mut apart_micros) = (0, 0, 0);
+    for recorded in &drive.wheels {
+        let from = at.map_or(0, |at: usize| at + 1);
+        let found = readings[from..]
+            .iter()
+            .position(|reading| unstamped(*reading) == unstamped(recorded.reading));
+        let Some(ahead) = found else {
+            strange += 1;
+            continue;
+        };
+        missing += if at.is_some() { ahead } else { 0 };
+        at = Some(from + ahead);
+        let apart = readings[from + ahead]
+            .stamp()
+            .0
+            .abs_diff(recorded.reading.stamp().0);
+        apart_micros = apart_micros.max(apart);
+    }
+    seen.require(
+        strange == 0,
+        format!("{strange} wheel readings are not what was sent"),
+    );
+    seen.require(missing == 0, format!("{missing} wheel readings are missing"));
+    seen.note(format!("wheel stamps {apart_micros} us apart at most"));
+    seen.require(
+        apart_micros < LATEST_STAMP_MICROS,
+        format!("wheel stamps are {apart_micros} us from when they were sent"),
+    );
 }
 
 /// The reading without the time at which it arrived.

@@ -24,10 +24,12 @@ pub(crate) struct Script {
     pub(crate) begin: Action,
     /// Ends it.
     pub(crate) end: Action,
-    /// Faults, all of which the answers must name while it lasts.
+    /// Faults, all of which the answers must name from its begin until the recovery.
     pub(crate) named: Faults,
-    /// Best level that an answer may claim once the fault was named; none where it costs nothing.
-    pub(crate) best: Option<QualityLevel>,
+    /// Faults that the answers may name besides while it lasts.
+    pub(crate) allowed: Faults,
+    /// Best level that an answer may claim once the fault was named.
+    pub(crate) best: QualityLevel,
     /// Answers that claim more all the same: a loopback device that is opened gives the picture that it kept, newly stamped.
     pub(crate) kept_pictures: usize,
     /// Time from its end to a good answer.
@@ -43,7 +45,8 @@ impl Default for Script {
             begin: Box::new(|_| Ok(())),
             end: Box::new(|_| Ok(())),
             named: Faults::NONE,
-            best: None,
+            allowed: Faults::NONE,
+            best: QualityLevel::Full,
             kept_pictures: 0,
             recovers_s: 3.0,
             slips: &[],
@@ -71,27 +74,26 @@ pub(crate) fn drive(rig: &Rig, script: &Script) -> Result<Seen, BenchError> {
     (script.end)(&mut bench)?;
     recover(&bench, script, end, &mut seen);
     std::thread::sleep(STEADY);
-    let during: Vec<_> = bench
-        .listener
-        .heard()
-        .into_iter()
+    let heard = bench.listener.heard();
+    let during: Vec<_> = heard
+        .iter()
         .filter(|heard| (begin..end).contains(&heard.at_micros))
         .collect();
-    let named = during.iter().fold(Faults::NONE, |all, heard| all | heard.faults);
+    let since = heard.iter().filter(|heard| heard.at_micros >= begin);
+    let named = since.fold(Faults::NONE, |all, heard| all | heard.faults);
     let missing = Faults(script.named.0 & !named.0);
     seen.require(missing.is_empty(), format!("no answer named {}", names(missing)));
-    if let Some(best) = script.best {
-        let marked = during
-            .iter()
-            .skip_while(|heard| heard.faults.0 & script.named.0 == 0);
-        let proud = marked
-            .filter(|heard| heard.level < best && heard.faults.0 & script.named.0 == 0)
-            .count();
-        seen.require(
-            proud <= script.kept_pictures,
-            format!("{proud} answers better than {}", best.name()),
-        );
-    }
+    let named = during.iter().fold(Faults::NONE, |all, heard| all | heard.faults);
+    let strange = Faults(named.0 & !(script.named | script.allowed | STANDING).0);
+    seen.require(strange.is_empty(), format!("{} was named", names(strange)));
+    let marked = during
+        .iter()
+        .skip_while(|heard| heard.faults.0 & script.named.0 == 0);
+    let proud = marked.filter(|heard| heard.level < script.best).count();
+    seen.require(
+        proud <= script.kept_pictures,
+        format!("{proud} answers better than {}", script.best.name()),
+    );
     let worst = during.iter().map(|heard| heard.level).max();
     if let Some(worst) = worst {
         seen.note(format!(
@@ -101,7 +103,16 @@ pub(crate) fn drive(rig: &Rig, script: &Script) -> Result<Seen, BenchError> {
             names(named)
         ));
     }
-    finish(bench, script.blind, seen)
+    finish(bench, script.blind, Ending::Well, seen)
+}
+
+/// How the program is to end when it is told to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ending {
+    /// With exit code 0.
+    Well,
+    /// By itself too, but with an error that it told.
+    WithError,
 }
 
 fn recover(bench: &Bench, script: &Script, end: u64, seen: &mut Seen) {
@@ -127,7 +138,7 @@ fn recover(bench: &Bench, script: &Script, end: u64, seen: &mut Seen) {
 }
 
 /// Ends the module as a service would be ended, and looks at the whole drive.
-pub(crate) fn finish(bench: Bench, blind: Blind, mut seen: Seen) -> Result<Seen, BenchError> {
+pub(crate) fn finish(bench: Bench, blind: Blind, ending: Ending, mut seen: Seen) -> Result<Seen, BenchError> {
     let Bench {
         rig,
         road,
@@ -141,8 +152,8 @@ pub(crate) fn finish(bench: Bench, blind: Blind, mut seen: Seen) -> Result<Seen,
     std::thread::sleep(Duration::from_millis(100));
     let frames = listener.frames();
     let heard = listener.heard();
-    last_word(status, &heard, &words, &mut seen);
-    let kept = judge(&heard[..heard.len().saturating_sub(1)], blind);
+    last_word(status, ending, &heard, &words, &mut seen);
+    let kept = judge(&heard, blind);
     seen.note(format!(
         "{} answers, latest {:.0} ms",
         kept.answers, kept.latest_ms
@@ -156,10 +167,21 @@ pub(crate) fn finish(bench: Bench, blind: Blind, mut seen: Seen) -> Result<Seen,
     Ok(seen)
 }
 
-/// The module ended well, and its last message says so.
-pub(crate) fn last_word(status: Option<ExitStatus>, heard: &[Heard], words: &str, seen: &mut Seen) {
+/// The module ended as it should, and its last message says so.
+pub(crate) fn last_word(
+    status: Option<ExitStatus>,
+    ending: Ending,
+    heard: &[Heard],
+    words: &str,
+    seen: &mut Seen,
+) {
+    // A program that was killed has no code, one that hung no status.
+    let code = status.and_then(|status| status.code());
     seen.require(
-        status.is_some_and(|status| status.success()),
+        match ending {
+            Ending::Well => code == Some(0),
+            Ending::WithError => code == Some(1),
+        },
         format!("SIGTERM ended it with {status:?}: {words}"),
     );
     let is_last_word = heard.last().is_some_and(|last| {

@@ -20,7 +20,8 @@ use crate::feed::spawn;
 /// Under the feeds alone.
 const PRIORITY: u8 = 59;
 const STATUS: u32 = 0x600;
-const TIMING: u32 = 0x601;
+pub(crate) const TIMING: u32 = 0x601;
+const GRID_HEAD: u32 = 0x620;
 /// Identifiers of the module: 0x600 to 0x63F.
 const IDS: (u32, u32) = (0x600, 0x7C0);
 
@@ -43,9 +44,17 @@ pub(crate) struct Heard {
     pub(crate) sequence: u8,
     /// As the module says it.
     pub(crate) capture_to_publish_ms: f64,
+    /// Until the head of its grid came, which follows at once; none where no grid did.
+    pub(crate) capture_to_bus_ms: Option<f64>,
 }
 
 impl Heard {
+    /// From the capture on: as the module says it, or as it was seen, where that is later.
+    pub(crate) fn latency_ms(&self) -> f64 {
+        self.capture_to_publish_ms
+            .max(self.capture_to_bus_ms.unwrap_or(0.0))
+    }
+
     /// Nothing held this answer back, apart from `expected` faults.
     pub(crate) fn is_good(&self, expected: Faults) -> bool {
         self.level <= QualityLevel::NoRefinement && self.faults.0 & !expected.0 == 0
@@ -176,9 +185,12 @@ fn open(interface: &str) -> std::io::Result<CanFdSocket> {
 
 /// The publications of these frames: a status frame, and the timing frame that follows with the same counter.
 pub(crate) fn publications(frames: &[Frame]) -> Vec<Heard> {
-    let mut heard = Vec::new();
+    let mut heard: Vec<Heard> = Vec::new();
     let mut status: Option<u64> = None;
     for frame in frames {
+        if let (Some(capture), Some(last)) = (capture(frame), heard.last_mut()) {
+            last.capture_to_bus_ms = Some(millis(frame.at_micros.saturating_sub(capture)));
+        }
         let Some(payload) = payload(frame) else { continue };
         match (frame.id, status) {
             (STATUS, _) => status = Some(payload),
@@ -190,6 +202,17 @@ pub(crate) fn publications(frames: &[Frame]) -> Vec<Heard> {
         }
     }
     heard
+}
+
+/// The capture stamp in the head of a grid.
+pub(crate) fn capture(frame: &Frame) -> Option<u64> {
+    let bytes = frame.data.get(8..16).filter(|_| frame.id == GRID_HEAD)?;
+    Some(u64::from_le_bytes(bytes.try_into().ok()?))
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a part of a second")]
+fn millis(micros: u64) -> f64 {
+    micros as f64 * 1e-3
 }
 
 fn payload(frame: &Frame) -> Option<u64> {
@@ -213,6 +236,7 @@ fn publication(status: u64, timing: u64, at_micros: u64) -> Option<Heard> {
         faults: Faults(bits(status, 16, 32) as u32),
         sequence: bits(status, 56, 8) as u8,
         capture_to_publish_ms: bits(timing, 16, 16) as f64 * 0.1,
+        capture_to_bus_ms: None,
     })
 }
 

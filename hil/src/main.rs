@@ -152,9 +152,15 @@ fn run_case(name: &str, devices: &DeviceArgs) -> bool {
         eprintln!("there is no case `{name}`; `list` names them");
         return false;
     };
-    let rig = devices.rig(name);
+    let mut rig = devices.rig(name);
+    // Nothing of an earlier run may be taken for this one's.
+    let _ = std::fs::remove_dir_all(&rig.folder);
     if let Err(error) = std::fs::create_dir_all(&rig.folder) {
         eprintln!("{}: cannot be made: {error}", rig.folder.display());
+        return false;
+    }
+    if let Err(error) = rig.take_devices() {
+        eprintln!("{error}");
         return false;
     }
     let row = case.row(&rig);

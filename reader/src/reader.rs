@@ -14,7 +14,7 @@ use iceoryx2::sample::Sample;
 use iceoryx2::service::service_name::ServiceName;
 
 use crate::error::ReaderError;
-use crate::service::{self, HISTORY, Ipc, Payload, READER_BUFFER};
+use crate::service::{self, HISTORY, Ipc, Payload, READER_BUFFER, SOON, SOON_EVENT};
 
 /// A message in shared memory, held for as long as this lives; at most two may be held at a time.
 pub struct Message(Sample<Ipc, Payload, ()>);
@@ -83,12 +83,25 @@ impl Reader {
             if left.is_zero() {
                 return Ok(None);
             }
-            match self.listener.timed_wait(|_| {}, left) {
+            let mut is_soon = false;
+            let waited =
+                (self.listener).timed_wait(|event| is_soon |= event.id.as_value() == SOON_EVENT, left);
+            match waited {
+                Ok(_) if is_soon => self.stay_awake(until)?,
                 Ok(_) => {}
                 Err(ListenerWaitError::InterruptSignal) => return Ok(None),
                 Err(_) => return Err(ReaderError::Failed),
             }
         }
+    }
+
+    /// Waits for the message that was announced: to sleep and be woken again would take longer.
+    fn stay_awake(&self, until: Instant) -> Result<(), ReaderError> {
+        let until = until.min(Instant::now() + SOON);
+        while !self.subscriber.has_samples().map_err(|_| ReaderError::Failed)? && Instant::now() < until {
+            core::hint::spin_loop();
+        }
+        Ok(())
     }
 }
 

@@ -3,6 +3,7 @@
 //! The module alone decides how many readers there may be; a reader opens what is there. Source: iceoryx2 0.10.
 
 use core::fmt::{self, Debug, Formatter};
+use core::time::Duration;
 
 use freespace::emit::SharedMessage;
 use iceoryx2::prelude::*;
@@ -21,6 +22,13 @@ pub const READER_HOLDS: usize = 2;
 pub const HISTORY: usize = 1;
 /// Messages that the module writes at a time.
 pub const WRITER_HOLDS: usize = 1;
+
+/// The event of a message.
+pub const MESSAGE_EVENT: usize = 0;
+/// The event of a message that is being made: it comes within [`SOON`], if it comes. Who waits for messages may stay awake.
+pub const SOON_EVENT: usize = 1;
+/// How soon.
+pub const SOON: Duration = Duration::from_micros(300);
 
 /// Slots of the module's segment: enough for the worst case, all of them made before the start.
 #[must_use]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use freespace::health::{Faults, QualityLevel};
+use freespace::health::Faults;
 use freespace_platform::world::Slip;
 use socketcan::{CanDataFrame, CanFrame, CanSocket, EmbeddedFrame as _, Socket as _, StandardId};
 
@@ -34,21 +34,21 @@ pub(crate) const CASES: &[Case] = &[
     Case {
         name: "wheels-garbage",
         injected: "random bytes in the wheel frames for 4 s",
-        required: "none is believed: wheels_silent is named",
+        required: "none is believed: wheels_silent is named, the scale is held",
         is_quick: true,
         run: |rig| wheels(rig, WheelFault::Garbage, unreadable()),
     },
     Case {
         name: "wheels-counter",
         injected: "the alive counter stands still for 4 s",
-        required: "none is believed: wheels_silent is named",
+        required: "none is believed: wheels_silent is named, the scale is held",
         is_quick: true,
         run: |rig| wheels(rig, WheelFault::WrongCounter, unreadable()),
     },
     Case {
         name: "wheels-checksum",
         injected: "wrong checksums for 4 s",
-        required: "none is believed: wheels_silent is named",
+        required: "none is believed: wheels_silent is named, the scale is held",
         is_quick: true,
         run: |rig| wheels(rig, WheelFault::WrongChecksum, unreadable()),
     },
@@ -57,16 +57,7 @@ pub(crate) const CASES: &[Case] = &[
         injected: "counters of 8 bits wrap twice a second, nothing else",
         required: "no fault is named",
         is_quick: true,
-        run: |rig| {
-            wheels(
-                rig,
-                WheelFault::None,
-                Script {
-                    best: None,
-                    ..Script::default()
-                },
-            )
-        },
+        run: |rig| wheels(rig, WheelFault::None, Script::default()),
     },
     Case {
         name: "wheel-stuck",
@@ -76,6 +67,7 @@ pub(crate) const CASES: &[Case] = &[
         run: |rig| {
             let script = Script {
                 named: Faults::WHEELS_SLIP,
+                allowed: Faults::SCALE_HELD,
                 ..Script::default()
             };
             wheels(rig, WheelFault::StuckWheel, script)
@@ -105,7 +97,7 @@ pub(crate) const CASES: &[Case] = &[
     Case {
         name: "bus-down",
         injected: "the interface is down for 3 s and up again",
-        required: "the module lives on, wheels_silent is named, recovers",
+        required: "the module lives on, can_send_failed is named, recovers",
         is_quick: true,
         run: bus_down,
     },
@@ -121,7 +113,7 @@ pub(crate) const CASES: &[Case] = &[
 /// The readings cannot be used: the pose comes from the picture alone.
 fn unreadable() -> Script {
     Script {
-        named: Faults::WHEELS_SILENT,
+        named: Faults::WHEELS_SILENT | Faults::SCALE_HELD,
         ..Script::default()
     }
 }
@@ -153,7 +145,7 @@ fn slip(rig: &Rig) -> Result<Seen, BenchError> {
     let script = Script {
         begin: Box::new(until(SLIP.from_s)),
         fault_s: SLIP.to_s - SLIP.from_s + 0.5,
-        named: Faults::WHEELS_SLIP,
+        named: Faults::WHEELS_SLIP | Faults::SCALE_HELD,
         slips: &[SLIP],
         recovers_s: 4.0,
         ..Script::default()
@@ -182,7 +174,6 @@ fn loaded(rig: &Rig) -> Result<Seen, BenchError> {
             is_over.store(true, Ordering::Relaxed);
             Ok(())
         }),
-        best: Some(QualityLevel::Full),
         ..Script::default()
     };
     drive(rig, &script)
@@ -207,24 +198,47 @@ const ERROR_FRAME: u32 = 0x2000_0000;
 const BUS_OFF: u32 = 0x40;
 const RESTARTED: u32 = 0x100;
 
+/// A controller that is off says so again to whoever opens it.
+const SAY_AGAIN: Duration = Duration::from_millis(50);
+
 fn bus_off(rig: &Rig) -> Result<Seen, BenchError> {
-    let report = |class: u32| {
-        move |bench: &mut Bench| {
-            let socket = CanSocket::open(&bench.rig.interface)?;
-            let frame = socketcan::CanErrorFrame::new_error(ERROR_FRAME | class, &[0; 8])
-                .map_err(|error| Error::other(error.to_string()))?;
-            Ok(socket.write_frame(&CanFrame::Error(frame))?)
+    let is_over = Arc::new(AtomicBool::new(false));
+    let off = {
+        let (interface, is_over) = (rig.interface.clone(), Arc::clone(&is_over));
+        move |_: &mut Bench| {
+            let socket = CanSocket::open(&interface)?;
+            let is_over = Arc::clone(&is_over);
+            std::thread::spawn(move || {
+                while !is_over.load(Ordering::Relaxed) {
+                    let _ = report(&socket, BUS_OFF);
+                    std::thread::sleep(SAY_AGAIN);
+                }
+                let _ = report(&socket, RESTARTED);
+            });
+            Ok(())
         }
     };
     let script = Script {
         fault_s: 2.0,
-        begin: Box::new(report(BUS_OFF)),
-        end: Box::new(report(RESTARTED)),
+        begin: Box::new(off),
+        end: Box::new(move |_| {
+            is_over.store(true, Ordering::Relaxed);
+            Ok(())
+        }),
+        named: Faults::CAN_SEND_FAILED,
+        allowed: Faults::WHEELS_SILENT | Faults::SCALE_HELD,
+        recovers_s: 5.0,
         // While it is off nothing is heard: the first message after it tells.
         blind: Blind { spots: true },
         ..Script::default()
     };
     drive(rig, &script)
+}
+
+fn report(socket: &CanSocket, class: u32) -> std::io::Result<()> {
+    let frame = socketcan::CanErrorFrame::new_error(ERROR_FRAME | class, &[0; 8])
+        .map_err(|error| Error::other(error.to_string()))?;
+    socket.write_frame(&CanFrame::Error(frame))
 }
 
 fn bus_down(rig: &Rig) -> Result<Seen, BenchError> {
@@ -233,6 +247,8 @@ fn bus_down(rig: &Rig) -> Result<Seen, BenchError> {
         fault_s: 3.0,
         begin: Box::new(link("down")),
         end: Box::new(link("up")),
+        named: Faults::CAN_SEND_FAILED,
+        allowed: Faults::WHEELS_SILENT | Faults::SCALE_HELD,
         recovers_s: 5.0,
         blind: Blind { spots: true },
         ..Script::default()
@@ -255,7 +271,6 @@ fn slow_reader(rig: &Rig) -> Result<Seen, BenchError> {
     };
     let script = Script {
         begin: Box::new(begin),
-        best: Some(QualityLevel::Full),
         ..Script::default()
     };
     drive(rig, &script)

@@ -7,21 +7,32 @@ use crate::case::{Case, Seen};
 use crate::drive::{Script, drive};
 use crate::fault::CameraFault;
 
+/// What a picture brings with it that shows nothing new.
+const BLIND: Faults =
+    Faults(Faults::TRACKING_LOST.0 | Faults::PLANE_HELD.0 | Faults::SCALE_HELD.0 | Faults::WHEELS_SLIP.0);
+const FROZEN: Faults = Faults(Faults::IMAGE_FROZEN.0 | BLIND.0);
+
 /// Cases of the camera.
 pub(crate) const CASES: &[Case] = &[
     Case {
         name: "frame-drop",
         injected: "every second frame is lost for 4 s",
-        required: "an answer for each key frame, tracking holds",
+        required: "an answer for each key frame, no fault is named",
         is_quick: true,
         run: |rig| camera(rig, CameraFault::Drops, Script::default()),
     },
     Case {
         name: "frame-duplicate",
         injected: "every second frame is the one before it for 4 s",
-        required: "an answer for each key frame, tracking holds",
+        required: "an answer for each key frame; image_frozen and what follows of it are named, or nothing",
         is_quick: true,
-        run: |rig| camera(rig, CameraFault::Duplicates, Script::default()),
+        run: |rig| {
+            let script = Script {
+                allowed: FROZEN,
+                ..Script::default()
+            };
+            camera(rig, CameraFault::Duplicates, script)
+        },
     },
     Case {
         name: "frame-freeze",
@@ -31,7 +42,8 @@ pub(crate) const CASES: &[Case] = &[
         run: |rig| {
             let script = Script {
                 named: Faults::IMAGE_FROZEN,
-                best: Some(QualityLevel::NoFreshMap),
+                allowed: FROZEN,
+                best: QualityLevel::NoFreshMap,
                 ..Script::default()
             };
             camera(rig, CameraFault::Freezes, script)
@@ -45,7 +57,8 @@ pub(crate) const CASES: &[Case] = &[
         run: |rig| {
             let script = Script {
                 named: Faults::IMAGE_BLACK,
-                best: Some(QualityLevel::NoFreshMap),
+                allowed: BLIND,
+                best: QualityLevel::NoFreshMap,
                 ..Script::default()
             };
             camera(rig, CameraFault::Black, script)
@@ -79,7 +92,9 @@ pub(crate) const CASES: &[Case] = &[
 fn silent() -> Script {
     Script {
         named: Faults::CAMERA_SILENT,
-        best: Some(QualityLevel::Moved),
+        // It keeps a picture, which it gives to whoever opens it anew.
+        allowed: FROZEN | Faults::DEADLINE_MISSED | Faults::KEY_FRAME_MISSING | Faults::GRID_STALE,
+        best: QualityLevel::Moved,
         kept_pictures: 1,
         recovers_s: 5.0,
         ..Script::default()

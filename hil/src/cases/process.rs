@@ -8,7 +8,7 @@ use rustix::process::Signal;
 use crate::bench::{Bench, BenchError, Rig, STANDING, command};
 use crate::case::{Case, Seen};
 use crate::direct;
-use crate::drive::{Script, drive, finish};
+use crate::drive::{Ending, Script, drive, finish};
 use crate::fault::CameraFault;
 use crate::feed::Feed;
 use crate::listener::{Heard, Listener};
@@ -94,7 +94,7 @@ fn boot(rig: &Rig) -> Result<Seen, BenchError> {
     seen.require(seconds < 10.0, "the first good grid took longer than 10 s");
     std::thread::sleep(Duration::from_secs(10));
     all_good_since(&bench, bench.first.at_micros, &mut seen);
-    finish(bench, Blind::default(), seen)
+    finish(bench, Blind::default(), Ending::Well, seen)
 }
 
 #[expect(clippy::cast_precision_loss, reason = "seconds")]
@@ -152,7 +152,7 @@ fn no_camera(rig: &Rig) -> Result<Seen, BenchError> {
         first,
         started_micros,
     };
-    finish(bench, Blind::default(), seen)
+    finish(bench, Blind::default(), Ending::Well, seen)
 }
 
 fn clock_step(rig: &Rig) -> Result<Seen, BenchError> {
@@ -165,7 +165,6 @@ fn clock_step(rig: &Rig) -> Result<Seen, BenchError> {
     let script = Script {
         begin: Box::new(step("+1 hour")),
         end: Box::new(step("-1 hour")),
-        best: Some(freespace::health::QualityLevel::Full),
         ..Script::default()
     };
     drive(rig, &script)
@@ -175,7 +174,7 @@ fn sigterm(rig: &Rig) -> Result<Seen, BenchError> {
     let bench = Bench::start(rig, &[], None)?;
     std::thread::sleep(Duration::from_secs(2));
     let begin = Instant::now();
-    let mut seen = finish(bench, Blind::default(), Seen::default())?;
+    let mut seen = finish(bench, Blind::default(), Ending::Well, Seen::default())?;
     let seconds = begin.elapsed().as_secs_f64();
     seen.require(seconds < 1.0, format!("it took {seconds:.2} s to end"));
     Ok(seen)
@@ -201,7 +200,7 @@ fn sigkill(rig: &Rig) -> Result<Seen, BenchError> {
         None => seen.require(false, "no good answer after the restart"),
     }
     std::thread::sleep(Duration::from_secs(2));
-    finish(bench, Blind { spots: true }, seen)
+    finish(bench, Blind { spots: true }, Ending::Well, seen)
 }
 
 fn disk_full(rig: &Rig) -> Result<Seen, BenchError> {
@@ -223,13 +222,11 @@ fn disk_full(rig: &Rig) -> Result<Seen, BenchError> {
     std::thread::sleep(Duration::from_secs(8));
     all_good_since(&bench, bench.first.at_micros, &mut seen);
     let log = rig.file("module.log");
-    let mut kept = finish(bench, Blind::default(), seen)?;
-    // A run whose recording is lost ends with an error, which SIGTERM does not make good.
-    kept.broken
-        .retain(|broken| !broken.starts_with("SIGTERM ended it"));
+    // A run whose recording is lost ends with an error.
+    let mut seen = finish(bench, Blind::default(), Ending::WithError, seen)?;
     let told = std::fs::read_to_string(&log)?.contains("No space left");
-    kept.require(told, "the full disk is not told");
-    Ok(kept)
+    seen.require(told, "the full disk is not told");
+    Ok(seen)
 }
 
 /// Growth of the resident memory that is noise, kB.
@@ -248,5 +245,5 @@ fn soak(rig: &Rig, seconds: u64) -> Result<Seen, BenchError> {
         seen.require(growth < FLAT_KB, format!("memory grew by {growth} kB"));
     }
     all_good_since(&bench, bench.first.at_micros, &mut seen);
-    finish(bench, Blind::default(), seen)
+    finish(bench, Blind::default(), Ending::Well, seen)
 }

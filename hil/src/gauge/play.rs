@@ -22,7 +22,7 @@ use super::tape::Tape;
 use crate::bench::{BenchError, Rig};
 use crate::direct::setup;
 use crate::feed::Feed;
-use crate::listener::{Frame, Listener};
+use crate::listener::{Frame, Listener, TIMING, capture};
 
 /// Key frames that are left out: the map begins, and buffers are touched for the first time.
 const WARM: usize = 4;
@@ -134,24 +134,15 @@ impl Meter {
 /// From the capture stamp in the head of each grid to the timing frame before it, microseconds.
 #[expect(clippy::cast_precision_loss, reason = "microseconds of a deadline")]
 fn latencies(frames: &[Frame]) -> Vec<f64> {
-    const TIMING: u32 = 0x601;
-    const GRID_HEAD: u32 = 0x620;
     let mut told = None;
     let mut latencies = Vec::new();
     for frame in frames {
-        match frame.id {
-            TIMING => told = Some(frame.at_micros),
-            GRID_HEAD => {
-                let capture = frame
-                    .data
-                    .get(8..16)
-                    .and_then(|bytes| bytes.try_into().ok())
-                    .map(u64::from_le_bytes);
-                if let (Some(told), Some(capture)) = (told.take(), capture) {
-                    latencies.push(told.saturating_sub(capture) as f64);
-                }
-            }
-            _ => {}
+        if frame.id == TIMING {
+            told = Some(frame.at_micros);
+        } else if let Some(capture) = capture(frame)
+            && let Some(told) = told.take()
+        {
+            latencies.push(told.saturating_sub(capture) as f64);
         }
     }
     latencies.split_off(WARM.min(latencies.len()))
@@ -166,5 +157,6 @@ fn latencies(frames: &[Frame]) -> Vec<f64> {
 fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let rank = (share * values.len() as f64).ceil() as usize;
-    values.get(rank.max(1) - 1).copied().unwrap_or(0.0)
+    // What was never measured keeps no limit.
+    values.get(rank.max(1) - 1).copied().unwrap_or(f64::NAN)
 }

@@ -343,6 +343,7 @@ impl<A: Adapter> Link<A> {
                 }
                 Err(fault @ (WireFault::Unsupported | WireFault::Denied)) => {
                     self.counters.dropped_unsupported.add(1);
+                    sends.state.has_dropped.store(true, Ordering::Relaxed);
                     sends.outbox.done();
                     if !std::mem::replace(&mut self.has_refused, true) {
                         self.tell(now, CanEvent::Refuses(fault), teller);

@@ -24,10 +24,17 @@ pub(crate) struct OutState {
     pub(crate) newest: AtomicU32,
     /// Whether frames can leave now.
     pub(crate) is_open: AtomicBool,
+    /// Frames were dropped that should have left: the next publication is told so.
+    pub(crate) has_dropped: AtomicBool,
     /// Nothing will be published any more.
     pub(crate) is_closing: AtomicBool,
     /// All that could leave has left: the thread needs not be waited for.
     pub(crate) is_flushed: AtomicBool,
+}
+
+/// Frames of grids are the long ones.
+fn is_of_grid(frame: &CanFrame) -> bool {
+    frame.data.len() > 8
 }
 
 /// The thread's end.
@@ -66,8 +73,13 @@ impl Outbox {
             };
             if publication != state.newest.load(Ordering::Acquire) {
                 counters.dropped_for_newer.add(1);
+                // A grid that gives way is incomplete to its readers, and no fault; what leaves before it should have left.
+                if !is_of_grid(&outgoing.frame) {
+                    state.has_dropped.store(true, Ordering::Relaxed);
+                }
             } else if now_ns.saturating_sub(begun_ns) > self.period_ns {
                 counters.dropped_late.add(1);
+                state.has_dropped.store(true, Ordering::Relaxed);
             } else {
                 return Some(&self.next.insert(outgoing).frame);
             }

@@ -91,10 +91,18 @@ impl<T> Mailbox<T> {
         self.bell.ring();
     }
 
-    /// Waits for the next box; none once the mailbox is closed and empty. Forewarned, it stays awake for a moment.
+    /// Waits for the next box; none once the mailbox is closed and empty.
     pub(crate) fn wait(&self) -> Option<Box<T>> {
+        self.wait_forewarned(|| {})
+    }
+
+    /// As [`Mailbox::wait`]; forewarned, it does `first` and stays awake for a moment.
+    pub(crate) fn wait_forewarned(&self, mut first: impl FnMut()) -> Option<Box<T>> {
         loop {
-            self.stay_awake();
+            if self.is_forewarned.load(Ordering::Acquire) {
+                first();
+                self.stay_awake();
+            }
             if let Some(item) = self.take() {
                 return Some(item);
             }
@@ -107,9 +115,6 @@ impl<T> Mailbox<T> {
 
     /// Does not sleep while a box is promised, but at most for [`AWAKE`].
     fn stay_awake(&self) {
-        if !self.is_forewarned.load(Ordering::Acquire) {
-            return;
-        }
         let begin = Instant::now();
         while self.is_forewarned.load(Ordering::Acquire) && begin.elapsed() < AWAKE {
             core::hint::spin_loop();

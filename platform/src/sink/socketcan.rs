@@ -2,8 +2,9 @@
 //!
 //! In: a message and its classic frames; where the configuration wants it, the grid is taken out of the message and follows in
 //! CAN FD frames. Out: frames for the CAN thread, through a bounded ring. Invariant: never waits; a publication goes into the ring
-//! as a whole, or is refused: the ring is full, or the interface is away or off the bus. Cost: a copy of 80 bytes a frame, and
-//! for the grid its check sums. Dropped, it waits until the last frames have left, 0.3 s at most.
+//! as a whole, or is refused: the ring is full, or the interface is away or off the bus. Where an
+//! earlier one did not leave, the next is sent and told refused. Cost: a copy of 80 bytes a frame, and for the grid its check sums.
+//! Dropped, it waits until the last frames have left, 0.3 s at most.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -53,6 +54,11 @@ impl SinkPort for SocketcanSink {
         if !self.state.is_open.load(Ordering::Acquire) || self.ring.slots() < needed {
             return Err(self.refuse());
         }
+        let decoded = match (&self.grid, FreeSpaceMessage::decode_own(message)) {
+            (None, _) => None,
+            (Some(_), Ok(message)) => Some(message),
+            (Some(_), Err(_)) => return Err(self.refuse()),
+        };
         self.publication = self.publication.wrapping_add(1);
         let publication = self.publication;
         // From now on the thread drops what is left of the last one.
@@ -64,12 +70,14 @@ impl SinkPort for SocketcanSink {
             let _ = ring.push(Outgoing { publication, frame });
         };
         frames.iter().for_each(&mut push);
-        if let Some(grid) = &mut self.grid
-            && let Ok(message) = FreeSpaceMessage::decode(message)
-        {
-            grid.encode(&message, &mut push);
+        if let (Some(grid), Some(message)) = (&mut self.grid, &decoded) {
+            grid.encode(message, &mut push);
         }
         self.ends.ring();
+        if self.state.has_dropped.swap(false, Ordering::Relaxed) {
+            // This one is on its way; that an earlier one did not arrive whole is said all the same.
+            return Err(self.refuse());
+        }
         Ok(())
     }
 }

@@ -68,8 +68,13 @@ impl KeyFrameThread {
         let output = self.output.take().or_else(|| self.returned_outputs.pop().ok());
         let lesson = self.lessons.pop().or_else(|| self.learnt.pop().ok());
         // There are enough of both for whatever is under way at one time.
-        let (Some(mut output), Some(mut lesson)) = (output, lesson) else {
-            return KeyFrameNews::Failed(job, Cause::GivenUp(Blame::Stage(Stage::Emit)));
+        let (mut output, mut lesson) = match (output, lesson) {
+            (Some(output), Some(lesson)) => (output, lesson),
+            (output, lesson) => {
+                self.output = output;
+                self.lessons.extend(lesson);
+                return KeyFrameNews::Failed(job, Cause::GivenUp(Blame::Stage(Stage::Emit)));
+            }
         };
         match guarded(|| self.step(&job, &mut output, &mut lesson)) {
             Ok(Ok(())) => {

@@ -247,12 +247,12 @@ impl PublisherThread {
             match guarded(|| sink.publish(message, &output.can_frames)) {
                 Ok(Ok(())) => {}
                 Ok(Err(_)) => {
-                    self.task.report(Faults::CAN_SEND_FAILED);
+                    self.task.report(sink.fault());
                     self.teller.tell(self.shared.clock.now(), Event::SinkRefused);
                 }
                 // A sink cannot be started anew, and this message is as good as it was: the next one says it.
                 Err(Panicked) => {
-                    self.task.report(Faults::CAN_SEND_FAILED | Faults::STAGE_PANICKED);
+                    self.task.report(sink.fault() | Faults::STAGE_PANICKED);
                     self.count_panic();
                 }
             }

@@ -382,7 +382,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
         for sink in &mut self.sinks {
             let message = &output.message[..output.message_len];
             if sink.publish(message, &output.can_frames).is_err() {
-                self.publish_task.report(Faults::CAN_SEND_FAILED);
+                self.publish_task.report(sink.fault());
             }
         }
         self.summary.key_frames += 1;

@@ -21,6 +21,7 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 
 use freespace::emit::{CanFrame, SHARED_BYTES};
+use freespace::health::Faults;
 use freespace::port::{SinkMiss, SinkPort};
 use freespace_reader::service;
 use rtrb::{Consumer, RingBuffer};
@@ -163,6 +164,10 @@ impl SinkPort for SharedMemorySink {
             return Err(SinkMiss::Refused);
         }
         posted
+    }
+
+    fn fault(&self) -> Faults {
+        Faults::SHARING_FAILED
     }
 
     fn prepare(&mut self) {

@@ -59,7 +59,7 @@ impl Body {
     fn serve(&mut self, writer: &Writer) {
         let clock = MonotonicClock::of_devices();
         let mut tidied = Instant::now();
-        while let Some(letter) = self.desk.letters.wait() {
+        while let Some(letter) = self.desk.letters.wait_forewarned(|| writer.announce()) {
             let written = FreeSpaceMessage::decode_own(&letter.bytes[..letter.length])
                 .map_err(|_| SinkMiss::Refused)
                 .and_then(|message| writer.write(&message, clock.now()));

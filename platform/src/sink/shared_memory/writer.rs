@@ -9,11 +9,14 @@ use std::time::Duration;
 use freespace::emit::FreeSpaceMessage;
 use freespace::port::SinkMiss;
 use freespace::space::Micros;
-use freespace_reader::service::{self, HISTORY, Ipc, Payload, READER_BUFFER, READER_HOLDS, WRITER_HOLDS};
+use freespace_reader::service::{
+    self, HISTORY, Ipc, MESSAGE_EVENT, Payload, READER_BUFFER, READER_HOLDS, SOON_EVENT, WRITER_HOLDS,
+};
 use iceoryx2::node::Node;
 use iceoryx2::port::backpressure_strategy::BackpressureStrategy;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
+use iceoryx2::prelude::EventId;
 use iceoryx2::service::service_name::ServiceName;
 
 use super::{SharingConfig, SharingError, leftovers};
@@ -42,7 +45,7 @@ impl Writer {
             .max_notifiers(1)
             .max_listeners(config.max_readers)
             .max_nodes(config.max_readers + SPARE_NODES)
-            .event_id_max_value(0)
+            .event_id_max_value(SOON_EVENT)
             .open_or_create()?;
         let notifier = events.notifier_builder().create()?;
         let messages = node
@@ -79,8 +82,15 @@ impl Writer {
         let sample = unsafe { sample.assume_init() };
         sample.send().map_err(|_| SinkMiss::Refused)?;
         // A reader that cannot be woken looks by itself, and the others were woken all the same.
-        let _ = self.notifier.notify();
+        let _ = (self.notifier).notify_with_custom_event_id(EventId::new(MESSAGE_EVENT));
         Ok(())
+    }
+
+    /// Wakes the readers for a message that is being made.
+    pub(super) fn announce(&self) {
+        let _ = self
+            .notifier
+            .notify_with_custom_event_id(EventId::new(SOON_EVENT));
     }
 
     /// Clears away what readers that died left behind, without waiting for anything.
