@@ -43,6 +43,8 @@ pub(crate) struct Seen {
     pub(crate) words: Vec<String>,
     /// What was required and did not hold.
     pub(crate) broken: Vec<String>,
+    /// The same, of what a machine that stands still may cost.
+    pub(crate) broken_in_peace: Vec<String>,
     /// From the end of the fault to the first good answer.
     pub(crate) recovery_s: Option<f64>,
     /// Whether the rig itself was late: then this was not the drive that it was to be.
@@ -53,6 +55,14 @@ impl Seen {
     /// Notes a figure.
     pub(crate) fn note(&mut self, words: impl Into<String>) {
         self.words.push(words.into());
+    }
+
+    /// Notes what does not hold, where it does not, of what only a machine that is left in peace can be held to: that nothing is
+    /// named, and that all is well again soon. Answers in time, and none wrong unmarked, are required of every machine.
+    pub(crate) fn require_in_peace(&mut self, holds: bool, otherwise: impl Into<String>) {
+        if !holds {
+            self.broken_in_peace.push(otherwise.into());
+        }
     }
 
     /// Notes what does not hold, where it does not.
@@ -76,6 +86,9 @@ pub(crate) struct Row {
     /// Whether the machine stood still meanwhile, so that a failure may be its doing.
     #[serde(default)]
     pub(crate) is_disturbed: bool,
+    /// Whether a failure is one that such a machine is excused.
+    #[serde(default)]
+    pub(crate) is_excusable: bool,
 }
 
 impl Case {
@@ -86,11 +99,13 @@ impl Case {
         let outcome = (self.run)(rig);
         let stalls = watch.map_or_else(|_| Stalls::default(), StallWatch::end);
         let was_late = outcome.as_ref().is_ok_and(|seen| seen.was_late);
+        let is_excusable = outcome.as_ref().is_ok_and(|seen| seen.broken.is_empty());
         let (verdict, mut seen, recovery_s) = match outcome {
-            Ok(seen) if seen.broken.is_empty() => (Verdict::Passed, seen.words.join("; "), seen.recovery_s),
             Ok(seen) => {
-                let all = [seen.broken, seen.words].concat();
-                (Verdict::Failed, all.join("; "), seen.recovery_s)
+                let is_well = seen.broken.is_empty() && seen.broken_in_peace.is_empty();
+                let all = [seen.broken, seen.broken_in_peace, seen.words].concat();
+                let verdict = if is_well { Verdict::Passed } else { Verdict::Failed };
+                (verdict, all.join("; "), seen.recovery_s)
             }
             Err(BenchError::Lacking(what)) => (Verdict::Skipped, what, None),
             Err(error) => (Verdict::Failed, error.to_string(), None),
@@ -101,6 +116,7 @@ impl Case {
         let row = self.with(verdict, seen, recovery_s, begin.elapsed().as_secs_f64());
         Row {
             is_disturbed: was_late || stalls.are_grave(),
+            is_excusable,
             ..row
         }
     }
@@ -116,6 +132,7 @@ impl Case {
             verdict,
             seconds,
             is_disturbed: false,
+            is_excusable: false,
         }
     }
 }

@@ -85,7 +85,7 @@ pub(crate) fn drive(rig: &Rig, script: &Script) -> Result<Seen, BenchError> {
     seen.require(missing.is_empty(), format!("no answer named {}", names(missing)));
     let named = during.iter().fold(Faults::NONE, |all, heard| all | heard.faults);
     let strange = Faults(named.0 & !(script.named | script.allowed | STANDING).0);
-    seen.require(strange.is_empty(), format!("{} was named", names(strange)));
+    seen.require_in_peace(strange.is_empty(), format!("{} was named", names(strange)));
     let marked = during
         .iter()
         .skip_while(|heard| heard.faults.0 & script.named.0 == 0);
@@ -129,7 +129,7 @@ fn recover(bench: &Bench, script: &Script, end: u64, seen: &mut Seen) {
                 .heard()
                 .last()
                 .map(|heard| (heard.level.name(), names(heard.faults)));
-            seen.require(
+            seen.require_in_peace(
                 false,
                 format!("no good answer within {} s: {last:?}", script.recovers_s),
             );

@@ -114,6 +114,10 @@ fn run_until_undisturbed(args: &RunArgs, case: &Case) -> Row {
         );
         row = run_case(args, case);
     }
+    if row.verdict == Verdict::Failed && row.is_disturbed && row.is_excusable {
+        row.verdict = Verdict::Passed;
+        row.seen = format!("excused, for the machine stood still each time: {}", row.seen);
+    }
     row.seen += &earlier;
     row
 }

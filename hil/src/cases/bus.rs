@@ -199,7 +199,7 @@ const BUS_OFF: u32 = 0x40;
 const RESTARTED: u32 = 0x100;
 
 /// A controller that is off says so again to whoever opens it.
-const SAY_AGAIN: Duration = Duration::from_millis(50);
+const SAY_AGAIN: Duration = Duration::from_millis(5);
 
 fn bus_off(rig: &Rig) -> Result<Seen, BenchError> {
     let is_over = Arc::new(AtomicBool::new(false));

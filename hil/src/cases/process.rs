@@ -112,7 +112,7 @@ fn all_good_since(bench: &Bench, from: u64, seen: &mut Seen) {
         .collect();
     if let Some(first) = bad.first() {
         let what = crate::drive::names(first.faults);
-        seen.require(
+        seen.require_in_peace(
             false,
             format!(
                 "{} answers are not good: {} with {what}",

@@ -43,7 +43,7 @@ pub(crate) const CASES: &[Case] = &[
                 rig,
                 |node| set(node, "disconnect=1"),
                 nothing,
-                |log, _| has_told(log, "is opened anew"),
+                |log, _| is_opened_anew(log),
             )
         },
     },
@@ -57,7 +57,7 @@ pub(crate) const CASES: &[Case] = &[
                 rig,
                 |node| set(node, "inject_fatal_streaming_error=1"),
                 nothing,
-                |log, _| has_told(log, "is opened anew"),
+                |log, _| is_opened_anew(log),
             )
         },
     },
@@ -153,10 +153,9 @@ fn driver(action: &str) -> Done {
     )?)
 }
 
-fn has_told(log: &str, words: &'static str) -> Result<(), &'static str> {
-    log.contains(words)
-        .then_some(())
-        .ok_or("that it is opened anew was not told")
+fn is_opened_anew(log: &str) -> Result<(), &'static str> {
+    let opened = log.matches(": the camera gives ").count();
+    (opened >= 2).then_some(()).ok_or("it was not opened anew")
 }
 
 /// Frames that the module says were lost.
