@@ -16,6 +16,7 @@ use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
 use crate::runtime::{self, Devices, Setup};
+use crate::sink::mcap::Losses;
 use crate::sink::recording::{Recording, Report, RunTitle, ScoreOf};
 use crate::wheels::RecordedWheels;
 
@@ -50,6 +51,20 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
             part.path.display(),
             part.cause
         );
+    }
+    if args.timing == Timing::Recorded {
+        recorded.check_notes()?;
+    }
+    match recorded.losses {
+        Some(losses) if losses == Losses::default() => {}
+        Some(losses) => eprintln!(
+            "{}: while it was recorded {losses}: this is not all of the drive",
+            args.source.display()
+        ),
+        None => eprintln!(
+            "{}: does not say whether all of the drive was recorded",
+            args.source.display()
+        ),
     }
     let mut config = match &args.config {
         Some(path) => Config::load(path)?,
