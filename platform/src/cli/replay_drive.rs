@@ -147,6 +147,12 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
 }
 
 fn refuse_what_is_the_drives(args: &ReplayArgs) -> Result<(), BadInput> {
+    if args.timing == Timing::Recorded && args.mcap.mcap.is_some() {
+        return Err(BadInput::new(
+            "--mcap is given with --timing recorded: a recording keeps the pace of the drive, and this replay has none",
+            "leave --timing out, or --mcap",
+        ));
+    }
     let given = match (&args.can, &args.key_frames) {
         (Some(_), _) => "--can",
         (None, Some(KeyFrameRule::Every(_) | KeyFrameRule::Listed(_))) => "--key-frames",
@@ -181,4 +187,34 @@ fn frames(args: &ReplayArgs, recorded: &RecordedDrive) -> Box<dyn CameraPort + S
         Timing::Recorded => DriveFrames::as_driven(recorded),
         Timing::Own => DriveFrames::all(recorded),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    #[test]
+    fn the_flag_that_does_not_fit_is_named() {
+        let refused = |more: &[&str]| {
+            let line = [&["freespace", "replay", "drive.mcap"], more].concat();
+            let Command::Replay(args) = Cli::try_parse_from(line).unwrap().command else {
+                panic!("no replay");
+            };
+            refuse_what_is_the_drives(&args)
+                .err()
+                .map(|error| error.to_string())
+        };
+        let fault = refused(&["--timing", "recorded", "--mcap", "again.mcap"]).unwrap();
+        assert!(
+            fault.contains("--mcap is given with --timing recorded"),
+            "{fault}"
+        );
+        assert!(!fault.contains("--pace"), "{fault}");
+        assert_eq!(refused(&["--timing", "recorded"]), None);
+        assert_eq!(refused(&["--mcap", "again.mcap"]), None);
+    }
 }
