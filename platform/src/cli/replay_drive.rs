@@ -34,6 +34,8 @@ pub(super) fn run(args: &ReplayArgs) -> Result<(), Failure> {
 pub(super) struct Replayed {
     pub(super) drive: RecordedDrive,
     pub(super) report: Report,
+    /// SHA-256 of the network's model.
+    pub(super) network_sha256: String,
     /// Who ran the network.
     engine: String,
 }
@@ -94,6 +96,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         is_reproducible: pace(args) == Pace::Fast,
     };
     let recording = Recording::create(&args.out, title)?;
+    let network_sha256 = network.sha256;
     let engine = network.segmenter.name().to_owned();
     let mut watch = Watch::new(Progress::new(Some(recorded.frames.len())));
     let mut log = DriveLog::open(
@@ -142,6 +145,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     Ok(Replayed {
         drive: recorded,
         report,
+        network_sha256,
         engine,
     })
 }
