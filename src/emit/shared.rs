@@ -306,7 +306,7 @@ impl SharedMessage {
     }
 
     /// Free distance straight ahead from the vehicle's origin, metres: the least of the sectors within `half_rad` of it.
-    /// Zero where the grid is not to be used, or says nothing of them.
+    /// Zero where the grid is not to be used, or says nothing of one of them.
     #[must_use]
     pub fn free_ahead_m(&self, half_rad: f32) -> f32 {
         if !self.is_usable() || !(self.sector_rad > 0.0) {
@@ -317,6 +317,10 @@ impl SharedMessage {
         for free_m in self.free_m {
             let left_rad = right_rad + self.sector_rad;
             if right_rad < half_rad && left_rad > -half_rad {
+                // Not a number, or less than nothing: what is not known is not free.
+                if !(free_m >= 0.0) {
+                    return 0.0;
+                }
                 least_m = if free_m < least_m { free_m } else { least_m };
             }
             right_rad = left_rad;

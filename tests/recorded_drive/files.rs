@@ -8,8 +8,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use freespace::port::{CameraAnswer, CameraPort, FrameBuffer};
+use freespace::space::Micros;
 use freespace_platform::camera::replay::drive::{DriveFrames, RecordedDrive};
-use freespace_platform::sink::mcap::{DriveRecorder, Medium, Split, part_path};
+use freespace_platform::runtime::{Event, FrameReport, KeyFrameReport, Observer, Trace};
+use freespace_platform::sink::mcap::{DriveRecorder, Losses, Medium, Split, part_path};
 
 use crate::rig::{self, Patient};
 use crate::simulated::{self, Triangle};
@@ -110,6 +112,43 @@ fn an_earlier_recording_is_not_written_over() {
     let setup = simulated::setup(camera, frames, None, Triangle::new(0..0));
     let refused = DriveRecorder::open(rig::plan(&path, &setup, Split::default()));
     assert!(refused.err().unwrap().message().contains("earlier recording"));
+}
+
+#[test]
+fn any_part_of_an_earlier_recording_keeps_a_new_one_from_its_name() {
+    let path = rig::path("earlier_part");
+    let (camera, frames, _) = simulated::devices(0.3);
+    let setup = simulated::setup(camera, frames, None, Triangle::new(0..0));
+    for part in [2, 7, 1234] {
+        let earlier = part_path(&path, part);
+        std::fs::write(&earlier, b"").unwrap();
+        let refused = DriveRecorder::open(rig::plan(&path, &setup, Split::default()));
+        let fault = refused.err().unwrap();
+        let name = earlier.file_name().unwrap().to_str().unwrap();
+        assert!(fault.message().contains(name), "{}", fault.message());
+        std::fs::remove_file(earlier).unwrap();
+    }
+    // Neighbours of other names are no parts of it.
+    for name in ["drives.001.mcap", "drive.old.mcap", "drive.01.mcap"] {
+        std::fs::write(path.with_file_name(name), b"").unwrap();
+    }
+    DriveRecorder::open(rig::plan(&path, &setup, Split::default())).unwrap();
+}
+
+#[test]
+fn a_part_of_another_drive_is_refused_by_name() {
+    let (path, other) = (rig::path("mixed"), rig::path("mixed_other"));
+    record(&path, Split::default(), 0.5);
+    record(&other, Split::default(), 0.5);
+    std::fs::copy(&other, part_path(&path, 1)).unwrap();
+    let fault = RecordedDrive::open(&path).unwrap_err();
+    assert!(
+        fault
+            .message()
+            .contains("drive.001.mcap: is a part of another drive"),
+        "{}",
+        fault.message()
+    );
 }
 
 /// A file that refuses to grow, or keeps its writer waiting.
@@ -215,7 +254,68 @@ fn a_disk_that_takes_its_time_loses_the_newest_frames_counted() {
     let counts = recorder.finish();
     assert!(counts.dropped_frames > 0, "{counts:?}");
     assert_eq!(counts.frames + counts.dropped_frames, 80);
-    let read = read(&RecordedDrive::open(&path).unwrap());
+    let drive = RecordedDrive::open(&path).unwrap();
+    let losses = drive.losses.unwrap();
+    assert_eq!(
+        (losses.dropped_frames, losses.dropped_messages),
+        (counts.dropped_frames, 0)
+    );
+    // Times and answers stand in notes, which are whole.
+    drive.check_notes().unwrap();
+    let read = read(&drive);
     assert_eq!(read.len() as u64, counts.frames);
     assert!(read.iter().all(|frame| given.contains(frame)));
+}
+
+struct Nobody;
+
+impl Observer for Nobody {
+    fn frame(&mut self, _: &FrameReport) {}
+    fn key_frame(&mut self, _: &KeyFrameReport<'_>) {}
+}
+
+#[test]
+fn a_drive_whose_notes_were_dropped_says_so_and_is_not_taken_for_whole() {
+    let path = rig::path("dropped_notes");
+    let is_stuck = Arc::new(AtomicBool::new(false));
+    let (recorder, mut camera) = record_on(&path, u64::MAX, &is_stuck, 1.0);
+    rig::frames(&mut *camera);
+    while recorder.counts().frames == 0 {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    is_stuck.store(true, Ordering::Release);
+    let mut nobody = Nobody;
+    while recorder.counts().dropped_messages < 10 {
+        recorder.noted(&mut nobody).trace(&Trace {
+            at: Micros(1),
+            event: Event::JobDisplaced(1),
+        });
+    }
+    is_stuck.store(false, Ordering::Release);
+    // It is told while the drive goes on: a process that is killed leaves the count, too.
+    let so_far = path.with_file_name("so_far.mcap");
+    loop {
+        std::fs::copy(&path, &so_far).unwrap();
+        if RecordedDrive::open(&so_far).is_ok_and(|drive| drive.check_notes().is_err()) {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let counts = recorder.finish();
+    let drive = RecordedDrive::open(&path).unwrap();
+    assert_eq!(
+        drive.losses,
+        Some(Losses {
+            dropped_frames: counts.dropped_frames,
+            dropped_messages: counts.dropped_messages,
+            lost_messages: 0,
+        })
+    );
+    let fault = drive.check_notes().unwrap_err();
+    assert!(
+        fault.message().contains("drive.mcap: while it was recorded"),
+        "{}",
+        fault.message()
+    );
+    assert!(fault.fix().contains("--timing own"));
 }

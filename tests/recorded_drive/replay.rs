@@ -8,7 +8,7 @@ use freespace_platform::runtime::{
     FaultKind, FaultModel, FrameReport, Injection, KeyFrameReport, Observer, Setup, Victim, run_in_lockstep,
     run_modelled, run_recorded,
 };
-use freespace_platform::sink::mcap::{DriveRecorder, Split};
+use freespace_platform::sink::mcap::{DriveRecorder, Losses, Split};
 use freespace_platform::statistics::Publication;
 use freespace_platform::wheels::RecordedWheels;
 
@@ -74,6 +74,7 @@ fn record(name: &str, run: impl FnOnce(Setup, &mut dyn Observer)) -> (RecordedDr
     );
     let drive = RecordedDrive::open(&path).unwrap();
     assert!(drive.cut.is_empty(), "{:?}", drive.cut);
+    assert_eq!(drive.losses, Some(Losses::default()));
     (drive, log)
 }
 

@@ -3,7 +3,7 @@
 //! In: a way to survey the recording under a mount. Out: [`MountEstimate`]: pitch and yaw from the direction of travel in camera
 //! space (a car drives where its wheels point), height from the road's plane at the wheels' scale; the roll against that plane is told.
 //! Method: medians over straight stretches; the pipeline expects a mount itself, so the survey is repeated with the one found
-//! until it stays, at most `ROUNDS` times.
+//! until it stays, at most `ROUNDS` times; one that does not stay is told as such.
 
 use freespace::health::ScaleState;
 use freespace::priors::PlaneConfig;
@@ -52,6 +52,8 @@ pub struct MountEstimate {
     pub left_out: usize,
     /// Surveys made.
     pub rounds: usize,
+    /// Whether the last survey found the mount that it was made under; else these values are on their way.
+    pub is_still: bool,
 }
 
 /// Why a recording gives no mount.
@@ -124,6 +126,7 @@ pub fn calibrate(
         let is_still = (next.pitch_rad - mount.pitch_rad).abs() < STILL_RAD
             && (next.yaw_rad - mount.yaw_rad).abs() < STILL_RAD
             && (next.height_m / mount.height_m - 1.0).abs() < STILL_SHARE;
+        estimate.is_still = is_still;
         mount = next;
         if is_still || rounds == ROUNDS {
             return Ok(estimate);
@@ -209,6 +212,7 @@ fn estimate(survey: &Survey, mount: &Mount) -> Result<MountEstimate, MountError>
         stretches: straight.len(),
         left_out: survey.stretches.len() - straight.len(),
         rounds: 0,
+        is_still: false,
     })
 }
 
@@ -281,6 +285,21 @@ mod tests {
         assert!((mount.height_m - TRUTH.height_m).abs() < 1e-9);
         assert!((found.plane_pitch_rad.unwrap().value - TRUTH.pitch_rad).abs() < 1e-9);
         assert_eq!((found.stretches, found.left_out, found.rounds), (30, 5, 2));
+        assert!(found.is_still);
+    }
+
+    #[test]
+    fn a_mount_that_does_not_settle_is_told() {
+        let found = calibrate(&TRUTH, &mut |_, round| {
+            let mut survey = drive(30, 0, 4.0);
+            // The camera sags a little more each time it is looked at.
+            for stretch in &mut survey.stretches {
+                stretch.travel.y += 0.02 * (1 + round) as f64;
+            }
+            survey
+        });
+        let found = found.unwrap();
+        assert_eq!((found.rounds, found.is_still), (ROUNDS, false));
     }
 
     #[test]

@@ -103,6 +103,9 @@ pub struct CanLoadArgs {
     /// A candump log whose load is told too.
     #[arg(long, value_name = "FILE")]
     pub log: Option<PathBuf>,
+    /// The interface of the log to take, where it holds several.
+    #[arg(long, value_name = "NAME", requires = "log")]
+    pub interface: Option<String>,
     /// Print JSON.
     #[arg(long)]
     pub json: bool,

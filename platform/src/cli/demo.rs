@@ -126,7 +126,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
             plan: network.plan,
             lacks: network.lacks,
             clock: MonotonicClock::default(),
-            slow: None,
+            slow: args.slow,
         },
         args.pace,
         &mut log.noted(&mut judge),

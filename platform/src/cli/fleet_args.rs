@@ -23,7 +23,8 @@ pub struct DrivesArgs {
     /// Take drive I, I + N, I + 2 N ... of the sorted list, I from 0 to N - 1.
     #[arg(long, value_name = "I/N", default_value_t = Shard::WHOLE)]
     pub shard: Shard,
-    /// The part to write, for `freespace eval merge`; one that is finished is kept.
+    /// The part to write, for `freespace eval merge`; one that is finished is kept, and of one with drives that could not be
+    /// evaluated those are tried again.
     #[arg(long, value_name = "PART.json")]
     pub out: PathBuf,
     /// Folder of truth: DIR/NAME/ for the drive NAME, or NAME.mcap, of the list.

@@ -16,6 +16,7 @@ use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
 use crate::runtime::{self, Devices, Setup};
+use crate::sink::mcap::Losses;
 use crate::sink::recording::{Recording, Report, RunTitle, ScoreOf};
 use crate::wheels::RecordedWheels;
 
@@ -33,6 +34,8 @@ pub(super) fn run(args: &ReplayArgs) -> Result<(), Failure> {
 pub(super) struct Replayed {
     pub(super) drive: RecordedDrive,
     pub(super) report: Report,
+    /// SHA-256 of the network's model.
+    pub(super) network_sha256: String,
     /// Who ran the network.
     engine: String,
 }
@@ -50,6 +53,20 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
             part.path.display(),
             part.cause
         );
+    }
+    if args.timing == Timing::Recorded {
+        recorded.check_notes()?;
+    }
+    match recorded.losses {
+        Some(losses) if losses == Losses::default() => {}
+        Some(losses) => eprintln!(
+            "{}: while it was recorded {losses}: this is not all of the drive",
+            args.source.display()
+        ),
+        None => eprintln!(
+            "{}: does not say whether all of the drive was recorded",
+            args.source.display()
+        ),
     }
     let mut config = match &args.config {
         Some(path) => Config::load(path)?,
@@ -79,6 +96,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         is_reproducible: pace(args) == Pace::Fast,
     };
     let recording = Recording::create(&args.out, title)?;
+    let network_sha256 = network.sha256;
     let engine = network.segmenter.name().to_owned();
     let mut watch = Watch::new(Progress::new(Some(recorded.frames.len())));
     let mut log = DriveLog::open(
@@ -127,11 +145,18 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     Ok(Replayed {
         drive: recorded,
         report,
+        network_sha256,
         engine,
     })
 }
 
 fn refuse_what_is_the_drives(args: &ReplayArgs) -> Result<(), BadInput> {
+    if args.timing == Timing::Recorded && args.mcap.mcap.is_some() {
+        return Err(BadInput::new(
+            "--mcap is given with --timing recorded: a recording keeps the pace of the drive, and this replay has none",
+            "leave --timing out, or --mcap",
+        ));
+    }
     let given = match (&args.can, &args.key_frames) {
         (Some(_), _) => "--can",
         (None, Some(KeyFrameRule::Every(_) | KeyFrameRule::Listed(_))) => "--key-frames",
@@ -166,4 +191,34 @@ fn frames(args: &ReplayArgs, recorded: &RecordedDrive) -> Box<dyn CameraPort + S
         Timing::Recorded => DriveFrames::as_driven(recorded),
         Timing::Own => DriveFrames::all(recorded),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    #[test]
+    fn the_flag_that_does_not_fit_is_named() {
+        let refused = |more: &[&str]| {
+            let line = [&["freespace", "replay", "drive.mcap"], more].concat();
+            let Command::Replay(args) = Cli::try_parse_from(line).unwrap().command else {
+                panic!("no replay");
+            };
+            refuse_what_is_the_drives(&args)
+                .err()
+                .map(|error| error.to_string())
+        };
+        let fault = refused(&["--timing", "recorded", "--mcap", "again.mcap"]).unwrap();
+        assert!(
+            fault.contains("--mcap is given with --timing recorded"),
+            "{fault}"
+        );
+        assert!(!fault.contains("--pace"), "{fault}");
+        assert_eq!(refused(&["--timing", "recorded"]), None);
+        assert_eq!(refused(&["--mcap", "again.mcap"]), None);
+    }
 }

@@ -72,6 +72,8 @@ pub struct Snapshot {
     pub module: Option<ViewStatus>,
     /// Whether there is a picture.
     pub has_picture: bool,
+    /// Number of the message that the picture belongs to; it may be an earlier one than the last.
+    pub picture_sequence: Option<u64>,
     /// How warm the computer is, by sensor; empty where that is not known.
     pub temperatures: Vec<Temperature>,
     /// What is to be said of sensors that are not there, or not shown.
@@ -402,6 +404,7 @@ impl Snapshot {
             misses: state.missed.iter().rev().map(KeyFrame::of).collect(),
             module: state.view.as_ref().map(|view| view.status.clone()),
             has_picture: state.view.as_ref().is_some_and(|view| !view.picture.is_empty()),
+            picture_sequence: state.picture_sequence,
             temperatures,
             temperature_note,
             stages: Stage::ALL.map(Stage::name),

@@ -177,6 +177,8 @@ pub struct State {
     pub(super) fault: Option<ReaderError>,
     pub(super) last: Option<Last>,
     pub(super) view: Option<View>,
+    /// Message that the view's picture belongs to: an earlier one than the view's, where that came without.
+    pub(super) picture_sequence: Option<u64>,
     pub(super) latency: LatencyHistogram,
     pub(super) bins: [u64; BINS],
     pub(super) buckets: [u64; BUCKETS_MICROS.len() + 1],
@@ -204,6 +206,7 @@ impl State {
             fault: Some(ReaderError::NoModule),
             last: None,
             view: None,
+            picture_sequence: None,
             latency: LatencyHistogram::new(),
             bins: [0; BINS],
             buckets: [0; BUCKETS_MICROS.len() + 1],
@@ -299,10 +302,10 @@ impl State {
                 total.micros += micros;
             }
         }
-        // An instant without a frame has no picture; the last one stays, and its number tells which it is.
-        if view.picture.is_empty()
-            && let Some(earlier) = self.view.take()
-        {
+        // An instant without a frame has no picture; the last one stays, under its own number.
+        if !view.picture.is_empty() {
+            self.picture_sequence = Some(sequence);
+        } else if let Some(earlier) = self.view.take() {
             view.picture = earlier.picture;
         }
         self.view = Some(view);
@@ -354,8 +357,14 @@ impl State {
             Some(last) if header.sequence > last.header.sequence => {
                 self.lost += header.sequence - last.header.sequence - 1;
             }
-            // It counts from 0 anew.
-            _ => self.starts += 1,
+            // It counts from 0 anew; a picture of before is no picture of it.
+            _ => {
+                self.starts += 1;
+                self.picture_sequence = None;
+                if let Some(view) = &mut self.view {
+                    view.picture.clear();
+                }
+            }
         }
     }
 

@@ -68,24 +68,30 @@ pub fn read(root: &Path, at: Micros) -> Temperatures {
         at,
         ..Temperatures::default()
     };
-    let mut values: BTreeMap<String, f64> = BTreeMap::new();
+    // By name; a sensor has its name whether or not it, or another one, can be read this time.
+    let mut named: BTreeMap<String, Sensor> = BTreeMap::new();
     for sensor in found.into_iter().take(MOST) {
-        let Some(celsius) = sensor.celsius() else {
-            temperatures.unreadable += 1;
-            continue;
-        };
-        // Two zones of one type are told apart by their number.
-        let name = if values.contains_key(&sensor.name) {
-            format!("{} {}", sensor.name, sensor.place)
+        let name = if named.contains_key(&sensor.name) {
+            with_place(&sensor.name, &sensor.place)
         } else {
-            sensor.name
+            sensor.name.clone()
         };
-        values.insert(name, celsius);
+        named.insert(name, sensor);
     }
-    temperatures.zones = (values.into_iter())
-        .map(|(name, celsius)| Zone { name, celsius })
-        .collect();
+    for (name, sensor) in named {
+        match sensor.celsius() {
+            Some(celsius) => temperatures.zones.push(Zone { name, celsius }),
+            None => temperatures.unreadable += 1,
+        }
+    }
     temperatures
+}
+
+/// Sensors of one name are told apart by their place.
+fn with_place(name: &str, place: &str) -> String {
+    let room = LONGEST_NAME.saturating_sub(place.chars().count() + 1);
+    let name: String = name.chars().take(room).collect();
+    format!("{name} {place}").chars().take(LONGEST_NAME).collect()
 }
 
 /// A sensor that is there, whether or not it can be read.

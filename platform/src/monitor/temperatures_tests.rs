@@ -97,12 +97,19 @@ fn a_computer_without_sensors_and_one_with_too_many_have_a_bound() {
     let found = computer.read();
     assert_eq!((found.zones.len(), found.left_out), (MOST, 5));
     // Names cut to the same text stay apart.
-    assert!(
-        found
-            .zones
-            .iter()
-            .all(|zone| zone.name.chars().count() <= LONGEST_NAME + 20)
-    );
+    let of_length = |zone: &Zone| zone.name.chars().count();
+    assert!(found.zones.iter().all(|zone| of_length(zone) == LONGEST_NAME));
+}
+
+#[test]
+fn a_sensor_keeps_its_name_while_another_of_its_type_cannot_be_read() {
+    let computer = Computer::new();
+    computer.zone(0, "acpitz", "27800");
+    computer.zone(1, "acpitz", "31000");
+    let both = [("acpitz", 27.8), ("acpitz thermal_zone1", 31.0)];
+    assert_eq!(shown(&computer.read()), both);
+    computer.zone(0, "acpitz", "");
+    assert_eq!(shown(&computer.read()), both[1..]);
 }
 
 #[test]

@@ -40,11 +40,9 @@ pub fn run(state: &Shared, note: &str, stop: &AtomicBool) -> io::Result<()> {
         if stop.load(Ordering::Relaxed) {
             break Ok(());
         }
-        let drawn = {
-            let state = lock(state);
-            terminal.draw(|frame| draw(frame, &state, Now::read(), layer, note))
-        };
-        if let Err(error) = drawn {
+        // A copy: a terminal that is slow, or stopped, must not hold up whoever else wants the state.
+        let copy = lock(state).clone();
+        if let Err(error) = terminal.draw(|frame| draw(frame, &copy, Now::read(), layer, note)) {
             break Err(error);
         }
         match pressed() {

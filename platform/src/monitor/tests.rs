@@ -94,6 +94,22 @@ impl Stream {
         });
     }
 
+    /// The view of a key frame that a fallback answered.
+    pub(super) fn show_without_picture(&mut self) {
+        self.state.view(View {
+            status: ViewStatus {
+                sequence: self.sequence - 1,
+                ..ViewStatus::default()
+            },
+            picture: Vec::new(),
+        });
+    }
+
+    /// The module counts from 0 anew.
+    pub(super) fn restart(&mut self) {
+        self.sequence = 0;
+    }
+
     pub(super) fn snapshot(&self) -> Snapshot {
         Snapshot::of(&self.state, self.now)
     }

@@ -4,9 +4,10 @@
 //! picture as JPEG, metrics. Invariant: nothing that comes in changes anything; other methods are refused, paths are names in
 //! a table and never files; a page may load from this server alone (`Content-Security-Policy`); a server on the loopback
 //! answers to the names of the loopback alone, so that no foreign page reads it through a name of its own. Cost: one thread,
-//! [`MAX_REQUESTS`] requests at a time; more wait.
+//! [`MAX_REQUESTS`] requests at a time on a [bounded](connections) number of connections; more wait.
 
 mod assets;
+mod connections;
 mod guard;
 #[cfg(test)]
 mod tests;
@@ -29,6 +30,7 @@ use super::follow::{Shared, lock};
 use super::metrics;
 use super::snapshot::Snapshot;
 use super::state::Now;
+use connections::{Bounded, Limits};
 use guard::Guard;
 
 /// Requests answered at a time.
@@ -63,6 +65,10 @@ impl Server {
     /// # Errors
     /// See [`ServeError`].
     pub fn start(address: SocketAddr, state: Shared) -> Result<Self, ServeError> {
+        Self::start_with(address, state, Limits::SHIPPED)
+    }
+
+    fn start_with(address: SocketAddr, state: Shared, limits: Limits) -> Result<Self, ServeError> {
         let listening = |source| ServeError::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(listening)?;
         listener.set_nonblocking(true).map_err(listening)?;
@@ -76,7 +82,7 @@ impl Server {
         let app = router(state, Guard::for_address(address));
         let thread = std::thread::Builder::new()
             .name("web".to_owned())
-            .spawn(move || runtime.block_on(serve(listener, app, &stopped)))
+            .spawn(move || runtime.block_on(serve(listener, limits, app, &stopped)))
             .map_err(ServeError::Start)?;
         Ok(Self {
             address,
@@ -102,10 +108,11 @@ impl Drop for Server {
 }
 
 /// Serves until it is told to end; connections that are open then are cut.
-async fn serve(listener: TcpListener, app: Router, stop: &Notify) {
+async fn serve(listener: TcpListener, limits: Limits, app: Router, stop: &Notify) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else {
         return;
     };
+    let listener = Bounded::new(listener, limits);
     let serving = std::pin::pin!(async { axum::serve(listener, app).await });
     let stopping = std::pin::pin!(stop.notified());
     first_of(serving, stopping).await;
@@ -177,8 +184,8 @@ async fn grid(Handle(state): Handle<Shared>) -> Response {
 async fn picture(Handle(state): Handle<Shared>) -> Response {
     let (sequence, jpeg) = {
         let state = lock(&state);
-        match &state.view {
-            Some(view) if !view.picture.is_empty() => (view.status.sequence, view.picture.clone()),
+        match (&state.view, state.picture_sequence) {
+            (Some(view), Some(sequence)) if !view.picture.is_empty() => (sequence, view.picture.clone()),
             _ => return StatusCode::NOT_FOUND.into_response(),
         }
     };

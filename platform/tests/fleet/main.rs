@@ -247,6 +247,17 @@ fn a_drive_that_cannot_be_read_ends_the_shard_or_is_noted() {
             .output()
             .unwrap(),
     );
+    // Asked again, it tries that drive again, and that one alone; the same once more where it is no better.
+    let again = freespace(&[&drives[..], &["--keep-going"]].concat())
+        .output()
+        .unwrap();
+    said(&again);
+    let told = String::from_utf8_lossy(&again.stderr);
+    assert!(
+        told.contains("1 drives were not evaluated, and are tried again")
+            && told.contains("1 of 1: broken.mcap"),
+        "{told}"
+    );
     let table = said(&freespace(&["eval", "merge", text(&part)]).output().unwrap());
     assert!(
         table.contains("1 of 2") && table.contains("not evaluated") && table.contains("broken.mcap"),

@@ -80,6 +80,11 @@ fn the_way_ahead_is_the_least_of_the_sectors_ahead() {
     shared.free_m[16] = 12.0;
     assert_eq!(shared.free_ahead_m(0.04), 12.0);
     assert_eq!(shared.free_ahead_m(0.2), 3.0);
+    for unknown_m in [f32::NAN, -1.0] {
+        shared.free_m[16] = unknown_m;
+        assert_eq!(shared.free_ahead_m(0.04), 0.0);
+    }
+    shared.free_m[16] = 12.0;
     shared.level = QualityLevel::Invalid as u8;
     assert_eq!(shared.free_ahead_m(0.04), 0.0);
 }

@@ -5,7 +5,7 @@ use serde_json::json;
 use super::print_json;
 use super::recording::{open_wheels, survey_under};
 use crate::bad_input::BadInput;
-use crate::calibrate::mount::{MountEstimate, calibrate};
+use crate::calibrate::mount::{MountEstimate, ROUNDS, calibrate};
 use crate::calibrate::mount_table;
 use crate::calibrate::robust::Robust;
 use crate::calibrate::survey::Survey;
@@ -52,6 +52,12 @@ fn print_spreads(estimate: &MountEstimate, has_wheels: bool) {
         "# {} straight stretches, {} left out, {} rounds",
         estimate.stretches, estimate.left_out, estimate.rounds
     );
+    if !estimate.is_still {
+        println!(
+            "# NOT SETTLED: after {ROUNDS} rounds it still moves; put these values into the configuration and run this again, and \
+             if that does not help record on a straighter and flatter road"
+        );
+    }
     let line = |name: &str, unit: &str, value: &Robust| {
         println!(
             "# {name:<24} {:>8.4} {unit} +- {:.4} (one stretch {:.4}, {} of them)",

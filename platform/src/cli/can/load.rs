@@ -1,5 +1,8 @@
 //! `freespace can load`: what the module's publications, and the frames of a log, cost a bus.
 
+use std::collections::BTreeSet;
+use std::path::Path;
+
 use freespace::emit::{BitRates, BusLoad};
 use serde::Serialize;
 
@@ -51,7 +54,7 @@ pub(super) fn run(args: &CanLoadArgs) -> Result<(), Failure> {
     let log = args
         .log
         .as_deref()
-        .map(|log| log_load(log, out.rates))
+        .map(|log| log_load(log, args.interface.as_deref(), out.rates))
         .transpose()?;
     let loads = Loads {
         bit_rate: out.rates.nominal,
@@ -78,12 +81,20 @@ impl Load {
     }
 }
 
+/// The load of one bus: that of `interface`, or of the only one in the log.
 #[expect(clippy::cast_precision_loss, reason = "nanoseconds of a log")]
-fn log_load(path: &std::path::Path, rates: BitRates) -> Result<LogLoad, BadInput> {
+fn log_load(path: &Path, interface: Option<&str>, rates: BitRates) -> Result<LogLoad, BadInput> {
     let (mut frames, mut busy_ns, mut busiest_ns) = (0, 0, 0);
     let (mut first, mut last) = (None, 0);
     let (mut second, mut second_ns) = (0, 0);
+    let mut interfaces = BTreeSet::new();
     read_log(path, &mut |frame| {
+        if !interfaces.contains(frame.interface) {
+            interfaces.insert(frame.interface.to_owned());
+        }
+        if interface.is_some_and(|wanted| wanted != frame.interface) {
+            return true;
+        }
         let is_fd = frame.kind == FrameKind::Fd;
         if frame.kind != FrameKind::Error {
             let nanos = rates.nanos(frame.data().len(), frame.is_extended, is_fd);
@@ -100,6 +111,7 @@ fn log_load(path: &std::path::Path, rates: BitRates) -> Result<LogLoad, BadInput
         }
         true
     })?;
+    check_interface(path, interface, &interfaces)?;
     let micros = first.map_or(0, |first: u64| last.saturating_sub(first));
     if micros == 0 {
         return Err(BadInput::of_file(
@@ -117,6 +129,24 @@ fn log_load(path: &std::path::Path, rates: BitRates) -> Result<LogLoad, BadInput
     })
 }
 
+/// Loads of several buses do not add up to one.
+fn check_interface(path: &Path, wanted: Option<&str>, found: &BTreeSet<String>) -> Result<(), BadInput> {
+    let names = || found.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+    match wanted {
+        None if found.len() > 1 => Err(BadInput::of_file(
+            path,
+            format!("the log holds frames of {} interfaces: {}", found.len(), names()),
+            "pick one with --interface",
+        )),
+        Some(wanted) if !found.contains(wanted) && !found.is_empty() => Err(BadInput::of_file(
+            path,
+            format!("the log holds no frame of {wanted}, but of {}", names()),
+            "give one of these after --interface",
+        )),
+        _ => Ok(()),
+    }
+}
+
 fn text_of(loads: &Loads, out: &CanOut) -> String {
     let mut text = format!("publications {out} (worst-case stuffing)\n");
     if let Some(log) = &loads.log {
@@ -129,4 +159,35 @@ fn text_of(loads: &Loads, out: &CanOut) -> String {
         ));
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn buses_of_a_log_are_not_added_up() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("two.candump");
+        let line = |second: u64, name: &str| format!("({second}.000000) {name} 123#0011223344556677\n");
+        let both: String = (1..5).map(|s| line(s, "can0") + &line(s, "can1")).collect();
+        std::fs::write(&path, both).unwrap();
+        let rates = BitRates {
+            nominal: 500_000,
+            data: 2_000_000,
+        };
+        let refused = log_load(&path, None, rates).err().unwrap();
+        assert!(
+            refused.message().contains("2 interfaces: can0, can1"),
+            "{refused}"
+        );
+        assert!(refused.fix().contains("--interface"));
+        assert_eq!(log_load(&path, Some("can1"), rates).unwrap().frames, 4);
+        let refused = log_load(&path, Some("can7"), rates).err().unwrap();
+        assert!(
+            refused.message().contains("no frame of can7, but of can0, can1"),
+            "{refused}"
+        );
+    }
 }

@@ -63,6 +63,8 @@ pub(in crate::cli) fn pipeline_config(
 
 /// The configured network, and what opening it took.
 pub(in crate::cli) struct Network {
+    /// SHA-256 of the model's file.
+    pub(in crate::cli) sha256: String,
     pub(in crate::cli) segmenter: Box<dyn Segmenter>,
     pub(in crate::cli) real_time: RealTimeConfig,
     pub(in crate::cli) plan: MemoryPlan,
@@ -85,6 +87,7 @@ pub(in crate::cli) fn open_network(config: &Config) -> Result<Network, Failure> 
         })
     });
     Ok(Network {
+        sha256: manifest.sha256,
         segmenter: opened.map_err(Failure::bad_input)?,
         real_time,
         plan,

@@ -1,17 +1,21 @@
 //! `freespace eval drives` and `freespace eval merge`: drives of many cars, evaluated in shards and joined.
 //!
-//! A shard that was ended half-way leaves no part, and is done again from its first drive; one that is finished is kept. Its
-//! drives are worked off one after the other: what is to go faster is another shard.
+//! A shard that was ended half-way leaves no part, and is done again from its first drive; one that is finished is kept, and of
+//! one with drives that could not be evaluated those are tried again. Its drives are worked off one after the other: what is to
+//! go faster is another shard.
 
 mod table;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::{DrivesArgs, Failure, MergeArgs, Pace, ReplayArgs, Timing, TruthArgs, replay_drive, terminal};
 use crate::bad_input::{BadInput, read_text};
+use crate::config::Config;
 use crate::eval::fleet::{self, Drive, DriveKind, DriveList, DriveScore, FailedDrive, Fleet, Part, Settings};
 use crate::eval::masks::TruthKind;
 use crate::eval::page;
+use crate::segmenter::Manifest;
 use crate::whole_file::write_whole;
 
 /// Evaluates the drives of a shard.
@@ -25,17 +29,33 @@ pub(super) fn drives(args: &DrivesArgs) -> Result<(), Failure> {
         .config
         .as_deref()
         .map(|path| read_text(path, "give the path of a TOML file, such as config/kitti.toml"));
-    let settings = Settings::new(config_text.transpose()?.as_deref());
+    let network = args.config.as_deref().map(network_of).transpose()?;
+    let settings = Settings::new(config_text.transpose()?.as_deref(), network);
     let mut part = Part::new(args.shard, list.digest(), settings);
     if args.out.exists() && !args.force {
-        return keep(args, &part);
+        part = keep(args, &part)?;
+        if part.failed.is_empty() {
+            terminal::show(format_args!(
+                "{}: shard {} is finished already; --force evaluates it again",
+                args.out.display(),
+                args.shard
+            ));
+            return Ok(());
+        }
+        terminal::tell(format_args!(
+            "{}: {} drives were not evaluated, and are tried again",
+            args.out.display(),
+            part.failed.len()
+        ));
+        part.failed.clear();
     }
     check_place(args)?;
+    let kept: BTreeSet<usize> = part.drives.iter().map(|drive| drive.index).collect();
     let taken = list
         .drives
         .iter()
         .enumerate()
-        .filter(|(index, _)| args.shard.takes(*index));
+        .filter(|(index, _)| args.shard.takes(*index) && !kept.contains(index));
     let of = taken.clone().count();
     for (done, (index, drive)) in taken.enumerate() {
         let heading = format!("{} of {of}: {}", done + 1, drive.name);
@@ -64,27 +84,29 @@ pub(super) fn drives(args: &DrivesArgs) -> Result<(), Failure> {
             }
         }
     }
+    part.drives.sort_by_key(|drive| drive.index);
     part.write(&args.out)?;
     terminal::show(format_args!(
-        "{}: shard {}, {of} drives",
+        "{}: shard {}, {} drives",
         args.out.display(),
-        args.shard
+        args.shard,
+        part.drives.len() + part.failed.len()
     ));
     Ok(())
 }
 
-/// Leaves a finished part alone where it is the wanted one.
-fn keep(args: &DrivesArgs, wanted: &Part) -> Result<(), Failure> {
+/// SHA-256 of the model that a configuration's network has.
+fn network_of(config: &Path) -> Result<String, Failure> {
+    let config = Config::load(config)?;
+    let manifest = Manifest::load(&config.network.manifest).map_err(Failure::bad_input)?;
+    Ok(manifest.sha256)
+}
+
+/// The part that is there, where it is the wanted one.
+fn keep(args: &DrivesArgs, wanted: &Part) -> Result<Part, Failure> {
     let found = Part::read(&args.out)?;
     match found.differs(wanted.shard, &wanted.list, &wanted.settings) {
-        None => {
-            terminal::show(format_args!(
-                "{}: shard {} is finished already; --force evaluates it again",
-                args.out.display(),
-                args.shard
-            ));
-            Ok(())
-        }
+        None => Ok(found),
         Some(what) => {
             let fix = "name another file after --out, or add --force to replace this one";
             Err(BadInput::of_file(&args.out, what, fix).into())
@@ -146,7 +168,13 @@ fn evaluate(args: &DrivesArgs, index: usize, drive: &Drive) -> Result<DriveScore
         mcap: super::McapArgs::default(),
         json: false,
     });
-    let scored = replayed.and_then(|replayed| Ok(fleet::as_driven(score(&run)?, &replayed.drive)));
+    let scored = replayed.and_then(|replayed| {
+        let score = fleet::as_driven(score(&run)?, &replayed.drive);
+        Ok(DriveScore {
+            network_sha256: Some(replayed.network_sha256),
+            ..score
+        })
+    });
     if args.runs.is_none() {
         // Best effort: a hidden folder that is left is replaced by the next attempt.
         let _ = std::fs::remove_dir_all(&run);

@@ -124,6 +124,7 @@ pub fn merge(parts: Vec<(PathBuf, Part)>) -> Result<Fleet, BadInput> {
     for (path, part) in &parts {
         belongs(head, first, part, path)?;
     }
+    one_network(&parts)?;
     let (list, settings) = (head.list.clone(), head.settings.clone());
     let complete = complete(parts)?;
     let mut counts = Tally::default();
@@ -178,11 +179,33 @@ fn belongs(head: &Part, first: &Path, part: &Part, path: &Path) -> Result<(), Ba
     if part.settings != head.settings {
         return Err(BadInput::of_file(
             path,
-            format!("was made by another version or with another --config than {first}"),
-            "join parts of one version and configuration: make the older ones again with --force",
+            format!("was made by another version or with another --config or network than {first}"),
+            "join parts of one version, configuration and network: make the older ones again with --force",
         ));
     }
     Ok(())
+}
+
+/// Checks that all drives were replayed with the same network.
+fn one_network(parts: &[(PathBuf, Part)]) -> Result<(), BadInput> {
+    let mut replayed = parts.iter().flat_map(|(path, part)| {
+        let drives = part.drives.iter();
+        drives.filter_map(move |drive| Some((path, &drive.name, drive.network_sha256.as_deref()?)))
+    });
+    let Some((first, name, sha256)) = replayed.next() else {
+        return Ok(());
+    };
+    match replayed.find(|(.., other)| *other != sha256) {
+        None => Ok(()),
+        Some((path, other_name, other)) => Err(BadInput::of_file(
+            path,
+            format!(
+                "its drive {other_name} was replayed with the network {other}, but drive {name} of {} with {sha256}",
+                first.display()
+            ),
+            "make the parts again with one --config, or one network, and --force",
+        )),
+    }
 }
 
 /// The parts in the order of their shards, each there once.

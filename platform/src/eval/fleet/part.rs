@@ -11,7 +11,7 @@ use crate::bad_input::{BadInput, read_text};
 use crate::whole_file::{WriteError, write_whole};
 
 /// What a part says it is.
-const FORMAT: &str = "freespace fleet part 1";
+const FORMAT: &str = "freespace fleet part 2";
 /// What to do about a part that is damaged or stale.
 const AGAIN: &str =
     "make it again: `freespace eval drives` with the same list, --shard and --out, and --force";
@@ -24,15 +24,18 @@ pub struct Settings {
     pub program: String,
     /// SHA-256 of the configuration that recordings were replayed with; none where each is replayed with its own.
     pub config_sha256: Option<String>,
+    /// SHA-256 of the model of that configuration's network; without one each drive tells its own.
+    pub network_sha256: Option<String>,
 }
 
 impl Settings {
-    /// This program's, with a configuration in place of the recordings' own.
+    /// This program's, with a configuration, and its network's model, in place of the recordings' own.
     #[must_use]
-    pub fn new(config_text: Option<&str>) -> Self {
+    pub fn new(config_text: Option<&str>, network_sha256: Option<String>) -> Self {
         Self {
             program: env!("CARGO_PKG_VERSION").to_owned(),
             config_sha256: config_text.map(|text| hex(&Sha256::digest(text))),
+            network_sha256,
         }
     }
 }
@@ -117,7 +120,7 @@ impl Part {
             return Some("was made of another list of drives".to_owned());
         }
         (self.settings != *settings)
-            .then(|| "was made by another version, or with another --config".to_owned())
+            .then(|| "was made by another version, or with another --config or network".to_owned())
     }
 
     /// What is wrong with its contents.

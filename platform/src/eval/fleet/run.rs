@@ -58,6 +58,7 @@ pub fn score_run(index: usize, name: &str, run: &Path, truth: Option<&Path>) -> 
     Ok(DriveScore {
         index,
         name: name.to_owned(),
+        network_sha256: None,
         counts,
         trajectory: score.as_ref().map(row),
     })

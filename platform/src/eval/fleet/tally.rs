@@ -118,6 +118,8 @@ pub struct DriveScore {
     pub index: usize,
     /// Its name in the list.
     pub name: String,
+    /// SHA-256 of the model of the network that it was replayed with; none of a finished run.
+    pub network_sha256: Option<String>,
     /// What adds up.
     pub counts: Tally,
     /// What does not; none without true poses.

@@ -32,6 +32,7 @@ fn drive(index: usize, seed: u64) -> DriveScore {
     DriveScore {
         index,
         name: format!("car/{index}"),
+        network_sha256: (!index.is_multiple_of(3)).then(|| "aa".to_owned()),
         counts: Tally {
             key_frames,
             deadline_misses: misses,
@@ -82,7 +83,7 @@ fn parts(drives: usize, of: usize, seed: u64) -> Vec<(PathBuf, Part)> {
     (0..of)
         .map(|index| {
             let shard = Shard { index, of };
-            let mut part = Part::new(shard, list(drives), Settings::new(None));
+            let mut part = Part::new(shard, list(drives), Settings::new(None, None));
             part.drives = (0..drives)
                 .filter(|i| shard.takes(*i) && i % 7 != 6)
                 .map(|i| drive(i, seed))
@@ -140,7 +141,7 @@ fn ratios_come_of_the_sums() {
 #[test]
 fn parts_that_make_no_whole_are_refused() {
     type Spoil = fn(&mut Vec<(PathBuf, Part)>);
-    let cases: [(Spoil, &str); 6] = [
+    let cases: [(Spoil, &str); 8] = [
         (|parts| parts.clear(), "no part is given"),
         (|parts| drop(parts.remove(1)), "1 of 4 shards are missing: 1/4"),
         (
@@ -154,6 +155,14 @@ fn parts_that_make_no_whole_are_refused() {
         (
             |parts| parts[3].1.settings.program.push('x'),
             "3.json: was made by another version",
+        ),
+        (
+            |parts| parts[2].1.settings.network_sha256 = Some("bb".to_owned()),
+            "2.json: was made by another version or with another --config or network than 0.json",
+        ),
+        (
+            |parts| parts[2].1.drives[0].network_sha256 = Some("bb".to_owned()),
+            "2.json: its drive car/2 was replayed with the network bb, but drive car/4 of 0.json with aa",
         ),
         (
             |parts| parts[1].1.shard.of = 5,

@@ -3,6 +3,7 @@
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::sync::Mutex;
+use std::time::Duration;
 
 use super::*;
 use crate::monitor::tests::Stream;
@@ -35,6 +36,12 @@ impl Page {
     fn of(stream: Stream) -> Self {
         let state = Arc::new(Mutex::new(stream.state));
         let server = Server::start("127.0.0.1:0".parse().unwrap(), state).unwrap();
+        Self { server }
+    }
+
+    fn with_limits(stream: Stream, limits: Limits) -> Self {
+        let state = Arc::new(Mutex::new(stream.state));
+        let server = Server::start_with("127.0.0.1:0".parse().unwrap(), state, limits).unwrap();
         Self { server }
     }
 
@@ -109,6 +116,7 @@ fn state_cells_picture_and_metrics_are_those_of_the_last_message() {
         (&picture.body[..], picture.header("content-type")),
         (&b"jpeg"[..], Some("image/jpeg"))
     );
+    assert_eq!(picture.header("freespace-sequence"), Some("9"));
     let metrics = page.get("/metrics");
     assert!(
         metrics
@@ -121,6 +129,32 @@ fn state_cells_picture_and_metrics_are_those_of_the_last_message() {
             .unwrap()
             .contains("freespace_deadline_misses_total")
     );
+}
+
+#[test]
+fn a_picture_that_the_last_message_came_without_keeps_its_own_number() {
+    let mut stream = Stream::with_misses();
+    stream.publish(Stream::good());
+    stream.show_without_picture();
+    let restarted = {
+        let mut stream = Stream::with_misses();
+        stream.restart();
+        stream.publish(Stream::good());
+        Page::of(stream)
+    };
+    let page = Page::of(stream);
+    let picture = page.get("/api/picture?of=9");
+    assert_eq!(
+        (&picture.body[..], picture.header("freespace-sequence")),
+        (&b"jpeg"[..], Some("9"))
+    );
+    let json: serde_json::Value = serde_json::from_slice(&page.get("/api/state").body).unwrap();
+    assert_eq!(
+        (&json["module"]["sequence"], &json["picture_sequence"]),
+        (&10.into(), &9.into())
+    );
+    // Numbers count anew after a restart: a picture of before would be taken for one of after.
+    assert_eq!(restarted.get("/api/picture").status(), 404);
 }
 
 #[test]
@@ -205,4 +239,46 @@ fn an_address_that_is_taken_is_named_and_a_server_ends_when_it_is_dropped() {
     let _idle = TcpStream::connect(address).unwrap();
     drop(page);
     assert!(Server::start(address, state).is_ok());
+}
+
+#[test]
+fn connections_that_hold_their_place_are_cut_and_those_that_wait_are_answered() {
+    let limits = Limits {
+        connections: 3,
+        patience: Duration::from_millis(200),
+    };
+    let page = Page::with_limits(Stream::with_misses(), limits);
+    let connect = || TcpStream::connect(page.server.address()).unwrap();
+    // One says nothing, one half of a request, one a whole request and then no more; together they are all there is room for.
+    let (mut silent, mut half, mut kept) = (connect(), connect(), connect());
+    half.write_all(b"GET /api/state HTTP/1.1\r\nHost: loc").unwrap();
+    kept.write_all(b"GET /icon.svg HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        .unwrap();
+    assert_eq!(page.get("/api/state").status(), 200);
+    let ended = |socket: &mut TcpStream| {
+        let mut bytes = Vec::new();
+        // An answer, a refusal, or nothing: then it is over.
+        let _ = socket.read_to_end(&mut bytes);
+        bytes
+    };
+    assert!(ended(&mut silent).is_empty());
+    ended(&mut half);
+    assert!(ended(&mut kept).starts_with(b"HTTP/1.1 200"));
+}
+
+#[test]
+fn a_request_that_comes_in_drops_is_cut() {
+    let limits = Limits {
+        connections: 1,
+        patience: Duration::from_millis(300),
+    };
+    let page = Page::with_limits(Stream::with_misses(), limits);
+    let mut slow = TcpStream::connect(page.server.address()).unwrap();
+    slow.write_all(b"GET /api/state HTTP/1.1\r\nHost: localhost\r\nX: ")
+        .unwrap();
+    // Until the server has closed its end.
+    while slow.write_all(b"x").is_ok() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(page.get("/api/state").status(), 200);
 }

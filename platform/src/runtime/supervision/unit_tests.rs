@@ -1,4 +1,4 @@
-//! The shipped systemd unit keeps what the runtime is built on.
+//! The shipped systemd units keep what the runtime is built on, and are started with the computer.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use freespace::budget::{DEADLINE_MICROS, HANG_MICROS};
@@ -7,6 +7,7 @@ use crate::runtime::live::LAST_WORD;
 use crate::runtime::rights::{Policy, ThreadRole};
 
 const UNIT: &str = include_str!("../../../../config/freespace.service");
+const MONITOR_UNIT: &str = include_str!("../../../../config/freespace-monitor.service");
 
 /// The values of a key, in their order.
 fn all(key: &str) -> Vec<&'static str> {
@@ -58,6 +59,16 @@ fn what_it_runs_is_what_its_recipe_installs() {
         assert!(UNIT.contains(installed), "{installed}");
     }
     assert_eq!(one("RestartPreventExitStatus"), "2");
+}
+
+#[test]
+fn both_units_can_be_enabled_and_are_started_with_the_computer() {
+    for unit in [UNIT, MONITOR_UNIT] {
+        let recipe = "systemctl daemon-reload && systemctl enable --now freespace";
+        assert!(unit.contains(recipe));
+        let (_, install) = unit.split_once("\n[Install]\n").unwrap();
+        assert_eq!(install.trim(), "WantedBy=multi-user.target");
+    }
 }
 
 #[test]

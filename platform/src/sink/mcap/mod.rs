@@ -7,6 +7,7 @@
 //! core for 28 MB/s.
 
 mod format;
+mod losses;
 mod note;
 mod observer;
 mod parts;
@@ -16,6 +17,7 @@ mod tap;
 mod thread;
 
 pub use format::{CanFrameNote, CanNote, FrameNote, KeyFrameNote, Topic, WantedNote, WheelNote};
+pub use losses::Losses;
 pub use observer::Noted;
 pub use parts::{FLUSH_EVERY, Medium, OpenPart, RETRY_EVERY, Split, part_path};
 pub use preamble::{CONFIG, DRIVE, DriveNote, VERSION};
@@ -130,15 +132,13 @@ impl DriveRecorder {
         if let Some(folder) = first.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder).map_err(|error| cannot_be_written(folder, &error))?;
         }
-        for part in [0, 1] {
-            let path = part_path(&first, part);
-            if path.exists() {
-                return Err(BadInput::of_file(
-                    &path,
-                    "holds an earlier recording, which is not written over",
-                    "give another file or folder with --mcap, or move that one away",
-                ));
-            }
+        // Any part: the parts of two drives under one name would be read as one.
+        if let Some(path) = parts::earlier_part(&first) {
+            return Err(BadInput::of_file(
+                &path,
+                "holds an earlier recording, which is not written over",
+                "give another file or folder with --mcap, or move that one away",
+            ));
         }
         Self::open_with(plan, parts::open_file())
     }

@@ -69,6 +69,11 @@ impl NoteTaker {
     fn key_frame(&self, output: &KeyFrameOutput) {
         let left = output.stamp.plus(output.latency_micros);
         self.note(Note::encoded(Topic::Grid, left, &self.grid(output)));
+        self.can_frames(output);
+    }
+
+    fn can_frames(&self, output: &KeyFrameOutput) {
+        let left = output.stamp.plus(output.latency_micros);
         if !output.can_frames.is_empty() {
             let frames = output.can_frames.iter().map(can_note).collect();
             self.note(Note::json(Topic::CanOut, left, &CanNote { frames }));
@@ -187,7 +192,18 @@ impl Observer for Noted<'_> {
         self.inner.trace(trace);
     }
 
+    fn last_word(&mut self, output: &KeyFrameOutput) {
+        if let Some(taker) = self.taker {
+            taker.can_frames(output);
+        }
+        self.inner.last_word(output);
+    }
+
     fn status(&mut self, status: &Status) {
         self.inner.status(status);
     }
 }
+
+#[cfg(test)]
+#[path = "observer_tests.rs"]
+mod tests;

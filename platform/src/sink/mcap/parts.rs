@@ -3,7 +3,8 @@
 //! In: messages. Out: `NAME.mcap`, `NAME.001.mcap`, and so on, each whole by itself. Invariant: what is older than
 //! [`FLUSH_EVERY`] is in the kernel's hands, as whole chunks, so that a killed process loses at most the last one. A chunk leaves
 //! in one piece from memory. When the disk is full the part ends where it is, readable up to its last chunk; it is told once, the
-//! messages are counted as lost, and a new part is tried every [`RETRY_EVERY`]. Cost: lz4, and a checksum, over every byte.
+//! messages are counted as lost, and a new part is tried every [`RETRY_EVERY`]. What is lost stands in the parts, too. Cost: lz4,
+//! and a checksum, over every byte.
 
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -15,6 +16,7 @@ use mcap::records::MessageHeader;
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 
 use super::format::Topic;
+use super::losses::Losses;
 use super::note::Note;
 use super::preamble;
 
@@ -22,6 +24,8 @@ use super::preamble;
 const CHUNK_BYTES: u64 = 4 << 20;
 /// The longest that a message waits for its chunk to be written.
 pub const FLUSH_EVERY: Duration = Duration::from_millis(500);
+/// Between two records of what was lost.
+const TELL_LOSSES_EVERY: Duration = Duration::from_secs(1);
 /// How long a disk that refused is left alone.
 pub const RETRY_EVERY: Duration = Duration::from_secs(10);
 
@@ -63,6 +67,26 @@ pub fn part_path(first: &Path, part: u32) -> PathBuf {
     }
 }
 
+/// A part that is there already of the recording that would begin at `first`, whatever its number.
+pub(super) fn earlier_part(first: &Path) -> Option<PathBuf> {
+    if first.exists() {
+        return Some(first.to_owned());
+    }
+    let stem = first.file_stem()?.to_str()?;
+    let folder = first.parent().filter(|folder| *folder != Path::new(""));
+    let entries = std::fs::read_dir(folder.unwrap_or(Path::new("."))).ok()?;
+    let is_part = |name: &str| {
+        let number = name
+            .strip_prefix(stem)
+            .and_then(|rest| rest.strip_prefix('.')?.strip_suffix(".mcap"));
+        number.is_some_and(|number| number.len() >= 3 && number.bytes().all(|byte| byte.is_ascii_digit()))
+    };
+    entries
+        .filter_map(Result::ok)
+        .find(|entry| entry.file_name().to_str().is_some_and(is_part))
+        .map(|entry| entry.path())
+}
+
 /// What stands at the head of each part.
 pub(super) struct Head {
     pub(super) drive: Vec<u8>,
@@ -81,6 +105,16 @@ pub(super) struct Counters {
     pub(super) dropped_frames: AtomicU64,
     /// Other messages that found their queue full.
     pub(super) dropped_messages: AtomicU64,
+}
+
+impl Counters {
+    pub(super) fn losses(&self) -> Losses {
+        Losses {
+            dropped_frames: self.dropped_frames.load(Ordering::Relaxed),
+            dropped_messages: self.dropped_messages.load(Ordering::Relaxed),
+            lost_messages: self.lost_messages.load(Ordering::Relaxed),
+        }
+    }
 }
 
 pub(super) fn add(counter: &AtomicU64, count: u64) {
@@ -126,6 +160,9 @@ struct Part {
     began_bytes: u64,
     flushed: Instant,
     is_dirty: bool,
+    /// As written last, and when.
+    losses: Losses,
+    losses_told: Instant,
 }
 
 impl Part {
@@ -174,7 +211,10 @@ impl Part {
             began_bytes,
             flushed: Instant::now(),
             is_dirty: false,
+            losses: counters.losses(),
+            losses_told: Instant::now(),
         };
+        part.writer.write_metadata(&part.losses.record())?;
         for note in &head.standing {
             part.write(note.topic, 0, note.at.0, &note.data)?;
         }
@@ -192,6 +232,27 @@ impl Part {
         };
         self.is_dirty = true;
         self.writer.write_to_known_channel(&header, data)
+    }
+
+    /// Writes what was lost where that has grown, at most once a second.
+    fn tell_losses_if_due(&mut self, losses: Losses, now: Instant) -> Result<(), McapError> {
+        if losses != self.losses && now.duration_since(self.losses_told) >= TELL_LOSSES_EVERY {
+            self.tell_losses(losses)?;
+            self.losses_told = now;
+        }
+        Ok(())
+    }
+
+    fn tell_losses(&mut self, losses: Losses) -> Result<(), McapError> {
+        self.writer.write_metadata(&losses.record())?;
+        self.losses = losses;
+        Ok(())
+    }
+
+    /// Ends the part, what was lost last in it.
+    fn finish(&mut self, losses: Losses) -> Result<(), McapError> {
+        self.tell_losses(losses)?;
+        self.writer.finish().map(drop)
     }
 
     fn flush_if_due(&mut self, now: Instant) -> Result<(), McapError> {
@@ -294,11 +355,13 @@ impl Parts {
     /// Writes what has waited long enough, begins the next part where one is due, tries again where the disk refused.
     pub(super) fn tend(&mut self, now: Instant) {
         let written = self.counters.written_bytes.load(Ordering::Relaxed);
+        let losses = self.counters.losses();
         if let Some(part) = &mut self.part {
             let tended = if part.is_full(&self.split, written, now) {
-                part.writer.finish().map(drop).and_then(|()| self.begin_part())
+                part.finish(losses).and_then(|()| self.begin_part())
             } else {
-                part.flush_if_due(now)
+                part.tell_losses_if_due(losses, now)
+                    .and_then(|()| part.flush_if_due(now))
             };
             if let Err(error) = tended {
                 self.fail(&error);
@@ -332,7 +395,7 @@ impl Parts {
     /// Ends the last part.
     pub(super) fn finish(&mut self) {
         if let Some(mut part) = self.part.take()
-            && let Err(error) = part.writer.finish()
+            && let Err(error) = part.finish(self.counters.losses())
         {
             self.fail(&error);
         }

@@ -3,7 +3,9 @@
 //! Two attachments: `drive.json` (cadence, camera as it was calibrated, where the configuration lay) and `config.toml`, the
 //! configuration as it was written. The camera is written out, for its lens may have come from a file of the drive.
 
+use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use foxglove::schemas::CameraCalibration;
 use freespace::frame::{Camera, Lens};
@@ -27,6 +29,9 @@ pub const VERSION: u32 = 1;
 pub struct DriveNote {
     /// Version of this layout.
     pub version: u32,
+    /// Of this drive alone: by it parts are known that belong together.
+    #[serde(default)]
+    pub id: String,
     /// Time between key frames; none where each was asked for.
     pub cadence_micros: Option<u64>,
     /// Whether the pipeline had wheel encoders.
@@ -52,6 +57,7 @@ impl DriveNote {
         let path = std::path::absolute(config_path).unwrap_or_else(|_| config_path.to_owned());
         Self {
             version: VERSION,
+            id: fresh_id(),
             cadence_micros: match pipeline.cadence {
                 Cadence::Micros(micros) => Some(micros),
                 Cadence::OnDemand => None,
@@ -79,6 +85,14 @@ impl DriveNote {
             mount: note.mount,
         })
     }
+}
+
+/// When it was made, and a number of its own for what was made at the same time. Nothing is computed from it.
+fn fresh_id() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    // Keyed by the system's random numbers.
+    let random = RandomState::new().build_hasher().finish();
+    format!("{}-{random:016x}", since.as_micros())
 }
 
 fn camera_json(camera: &Camera) -> Value {
@@ -182,6 +196,7 @@ mod tests {
             };
             let note = DriveNote {
                 version: VERSION,
+                id: fresh_id(),
                 cadence_micros: None,
                 has_wheels: false,
                 config_path: PathBuf::new(),

@@ -23,8 +23,8 @@ use serde::de::DeserializeOwned;
 
 use crate::bad_input::BadInput;
 use crate::sink::mcap::{
-    CONFIG, DRIVE, DriveNote, FrameNote, KeyFrameNote, Topic, VERSION, WantedNote, WheelNote, first_part,
-    part_path, picture,
+    CONFIG, DRIVE, DriveNote, FrameNote, KeyFrameNote, Losses, Topic, VERSION, WantedNote, WheelNote,
+    first_part, part_path, picture,
 };
 use crate::wheels::RecordedReading;
 use stream::{Found, Stream};
@@ -59,6 +59,8 @@ pub struct RecordedDrive {
     pub frameless_notes: Vec<KeyFrameNote>,
     /// Parts that end before their end.
     pub cut: Vec<CutPart>,
+    /// What it lacks; none of a recording that does not say.
+    pub losses: Option<Losses>,
 }
 
 /// Whether a replay's source is a recorded drive.
@@ -79,6 +81,8 @@ struct Gathered {
     frame_notes: BTreeMap<u64, FrameNote>,
     key_frame_notes: BTreeMap<u64, KeyFrameNote>,
     frameless_notes: Vec<KeyFrameNote>,
+    /// The first record, and the last.
+    losses: Option<(Losses, Losses)>,
 }
 
 const AGAIN: &str = "give a file that freespace recorded with --mcap, or copy it again from its source";
@@ -98,7 +102,7 @@ impl RecordedDrive {
         while let Some(found) = stream.next() {
             gathered
                 .take(&found, stream.data(), &mut frame)
-                .map_err(|fault| BadInput::of_file(&first, fault, AGAIN))?;
+                .map_err(|fault| BadInput::of_file(stream.path(), fault.what, fault.fix))?;
             if !frame.bytes.is_empty() {
                 let this = (frame.width, frame.height);
                 if *size.get_or_insert(this) != this {
@@ -142,7 +146,23 @@ impl RecordedDrive {
             key_frame_notes: gathered.key_frame_notes,
             frameless_notes: gathered.frameless_notes,
             cut,
+            losses: gathered.losses.map(|(first, last)| last.since(&first)),
         })
+    }
+
+    /// Whether it holds all that its own times and answers are taken from.
+    ///
+    /// # Errors
+    /// Notes that were dropped while it was recorded: what is left would be taken for the drive.
+    pub fn check_notes(&self) -> Result<(), BadInput> {
+        match (self.losses, self.parts.first()) {
+            (Some(losses), Some(first)) if losses.has_lost_notes() => Err(BadInput::of_file(
+                first,
+                format!("while it was recorded {losses}, so its times and answers are not whole"),
+                "replay it with --timing own, or record again to a disk that is faster and has room",
+            )),
+            _ => Ok(()),
+        }
     }
 
     /// What was said of the drive when it began.
@@ -179,6 +199,18 @@ fn parts_from(first: &Path) -> Result<Vec<PathBuf>, BadInput> {
         .collect())
 }
 
+/// What is wrong with a part, and what to do.
+struct PartFault {
+    what: String,
+    fix: &'static str,
+}
+
+impl From<String> for PartFault {
+    fn from(what: String) -> Self {
+        Self { what, fix: AGAIN }
+    }
+}
+
 fn note<T: DeserializeOwned>(topic: Topic, data: &[u8]) -> Result<T, String> {
     serde_json::from_slice(data)
         .map_err(|error| format!("holds a damaged message of {}: {error}", topic.name()))
@@ -186,13 +218,18 @@ fn note<T: DeserializeOwned>(topic: Topic, data: &[u8]) -> Result<T, String> {
 
 impl Gathered {
     /// Takes one thing found; of a picture the frame is left with its pixels.
-    fn take(&mut self, found: &Found, data: &[u8], frame: &mut FrameBuffer) -> Result<(), String> {
+    fn take(&mut self, found: &Found, data: &[u8], frame: &mut FrameBuffer) -> Result<(), PartFault> {
         match found {
             Found::Attachment(name) if name == DRIVE => {
-                let drive = serde_json::from_slice(data)
+                let drive: DriveNote = serde_json::from_slice(data)
                     .map_err(|error| format!("holds a damaged {DRIVE}: {error}"))?;
                 // Every part says the same.
-                self.drive.get_or_insert(drive);
+                if self.drive.get_or_insert(drive.clone()).id != drive.id {
+                    return Err(PartFault {
+                        what: "is a part of another drive than the files before it".to_owned(),
+                        fix: "move it, and what follows it, to another folder or name",
+                    });
+                }
             }
             Found::Attachment(name) if name == CONFIG => {
                 let text =
@@ -200,6 +237,10 @@ impl Gathered {
                 self.config_text.get_or_insert(text);
             }
             Found::Attachment(_) => {}
+            Found::Losses(losses) => {
+                let first = self.losses.map_or(*losses, |(first, _)| first);
+                self.losses = Some((first, *losses));
+            }
             Found::Message {
                 topic,
                 sequence,

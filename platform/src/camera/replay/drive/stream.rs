@@ -7,13 +7,13 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use crate::sink::mcap::Topic;
+use crate::sink::mcap::{Losses, Topic};
 
 /// No chunk and no message of a drive is larger; a length that is, is damage.
 const LARGEST_RECORD: usize = 256 << 20;
@@ -23,6 +23,8 @@ const LARGEST_RECORD: usize = 256 << 20;
 pub(super) enum Found {
     /// An attachment of this name; its bytes are in [`Stream::data`].
     Attachment(String),
+    /// What the recording lacks until here.
+    Losses(Losses),
     /// A message; its bytes are in [`Stream::data`].
     Message {
         topic: Topic,
@@ -70,6 +72,12 @@ impl Stream {
     /// Bytes of what was found last.
     pub(super) fn data(&self) -> &[u8] {
         &self.data
+    }
+
+    /// The part that is read; the first before any is.
+    pub(super) fn path(&self) -> &Path {
+        let part = self.next_part.saturating_sub(1);
+        self.parts.get(part).map_or(Path::new(""), PathBuf::as_path)
     }
 
     /// Parts that were cut off, so far.
@@ -130,7 +138,7 @@ impl OpenPart {
                 }
                 LinearReadEvent::Record { opcode, data: body } => {
                     // Indexes and the like are for viewers.
-                    if !matches!(opcode, op::CHANNEL | op::MESSAGE | op::ATTACHMENT) {
+                    if !matches!(opcode, op::CHANNEL | op::MESSAGE | op::ATTACHMENT | op::METADATA) {
                         continue;
                     }
                     let record = mcap::parse_record(opcode, body)?;
@@ -167,6 +175,7 @@ fn take(topics: &mut BTreeMap<u16, Topic>, record: Record<'_>, out: &mut Vec<u8>
             out.extend_from_slice(&data);
             Some(Found::Attachment(header.name))
         }
+        Record::Metadata(record) => Losses::of_record(&record).map(Found::Losses),
         _ => None,
     }
 }

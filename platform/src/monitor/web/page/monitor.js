@@ -155,19 +155,31 @@ async function fetchCells({ message }) {
   if (!message || shown.gridOf === message.sequence) return;
   const answer = await fetch("/api/grid", { signal: AbortSignal.timeout(WAIT_MS) });
   if (!answer.ok) return;
+  const of = Number(answer.headers.get("freespace-sequence"));
   shown.cells = await answer.arrayBuffer();
-  shown.gridOf = message.sequence;
+  shown.gridOf = of;
 }
 
-function showPicture({ has_picture: isThere, module, stages }) {
+/** The picture under its own number: one that the last messages came without is dimmed, and said to be old. */
+function showPicture({ has_picture: isThere, picture_sequence: of, module, message, stages }) {
   const image = id("picture");
   image.hidden = !isThere;
   id("no-picture").hidden = isThere;
-  if (!isThere || shown.pictureOf === module.sequence) return;
-  shown.pictureOf = module.sequence;
-  image.src = `/api/picture?of=${module.sequence}`;
+  if (!isThere) {
+    shown.pictureOf = null;
+    text(id("picture-note"), "");
+    return;
+  }
+  if (shown.pictureOf !== of) {
+    shown.pictureOf = of;
+    image.src = `/api/picture?of=${of}`;
+  }
+  // A picture comes a moment after its message: one message behind is no fault yet.
+  const isOld = of !== module.sequence || message.sequence > of + 1;
+  image.classList.toggle("old", isOld);
   const times = stages.map((name, i) => [name, module.stage_micros[i] / 1000]).filter(([, ms]) => ms >= 0.05);
-  text(id("picture-note"), `key frame ${module.sequence}: ${times.map(([name, ms]) => `${name} ${ms.toFixed(1)}`).join(", ")} ms`);
+  const spent = times.map(([name, ms]) => `${name} ${ms.toFixed(1)}`).join(", ");
+  text(id("picture-note"), isOld ? `OLD picture, of key frame ${of}: key frame ${message.sequence} came without` : `key frame ${of}: ${spent} ms`);
 }
 
 async function poll() {
