@@ -22,6 +22,8 @@ pub(crate) struct Module {
     sink: SharedMemorySink,
     message: Vec<u8>,
     pub(crate) sequence: u64,
+    /// Messages that the sink refused.
+    pub(crate) refused: u64,
 }
 
 /// A name that no other test and no other run uses.
@@ -54,6 +56,7 @@ impl Module {
             sink: opened.sink,
             message,
             sequence: 0,
+            refused: 0,
         })
     }
 
@@ -67,6 +70,8 @@ impl Module {
         self.message[SEQUENCE].copy_from_slice(&self.sequence.to_le_bytes());
         self.message[PUBLISH].copy_from_slice(&monotonic_now().0.to_le_bytes());
         self.sequence += 1;
-        self.sink.publish(&self.message, &[])
+        let published = self.sink.publish(&self.message, &[]);
+        self.refused += u64::from(published.is_err());
+        published
     }
 }
