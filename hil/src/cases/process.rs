@@ -143,6 +143,8 @@ fn no_camera(rig: &Rig) -> Result<Seen, BenchError> {
         .wait_for(Duration::from_secs(5), |heard| heard.is_good(STANDING))
         .ok_or_else(|| BenchError::NoAnswer(module.last_words()))?;
     seen.recovery_s = Some(since(back, first.at_micros));
+    // Its grid is still on its way, and those after it tell more.
+    std::thread::sleep(Duration::from_secs(3));
     let bench = Bench {
         rig: rig.clone(),
         road,
