@@ -205,9 +205,11 @@ fn bus_off(rig: &Rig) -> Result<Seen, BenchError> {
     let is_over = Arc::new(AtomicBool::new(false));
     let off = {
         let (interface, is_over) = (rig.interface.clone(), Arc::clone(&is_over));
-        move |_: &mut Bench| {
+        move |bench: &mut Bench| {
             let socket = CanSocket::open(&interface)?;
             let is_over = Arc::clone(&is_over);
+            // A controller that is off hears nothing: one that hears a frame is on the bus again, and the module takes it so.
+            bench.feed.switches.set_wheels(WheelFault::Silent);
             std::thread::spawn(move || {
                 while !is_over.load(Ordering::Relaxed) {
                     let _ = report(&socket, BUS_OFF);
@@ -221,8 +223,9 @@ fn bus_off(rig: &Rig) -> Result<Seen, BenchError> {
     let script = Script {
         fault_s: 2.0,
         begin: Box::new(off),
-        end: Box::new(move |_| {
+        end: Box::new(move |bench| {
             is_over.store(true, Ordering::Relaxed);
+            bench.feed.switches.set_wheels(WheelFault::None);
             Ok(())
         }),
         named: Faults::CAN_SEND_FAILED,
