@@ -17,8 +17,8 @@ use crate::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera, Replay
 use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
-use crate::runtime::{Devices, Setup};
-use crate::sink::recording::{Recording, RunTitle, ScoreOf};
+use crate::runtime::{Devices, RunSummary, Setup};
+use crate::sink::recording::{Recording, Report, RunTitle, ScoreOf};
 use crate::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
 
 /// The checked inputs of a replay; network and CAN log are checked by their own readers.
@@ -180,18 +180,27 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         &mut log.noted(&mut recorder),
     )?;
     log.finish();
+    let report = conclude(recorder, &summary, &reference)?;
+    table::print(&report, &engine, Some(&args.out), args.json);
+    Ok(())
+}
+
+/// Compares what was recorded with the truth, and writes the report.
+pub(super) fn conclude(
+    recorder: Recorder,
+    summary: &RunSummary,
+    reference: &Reference,
+) -> Result<Report, Failure> {
     let Recorded {
         mut recording,
         counts,
         statistics,
-    } = recorder.finish(&summary)?;
+    } = recorder.finish(summary)?;
     let poses = recording.poses()?.into_iter().enumerate();
     let judged = reference.compare(poses, &recording.mask_folder())?;
     recording.know_path(reference.poses());
     for (name, iou) in &judged.road_iou {
         recording.score(name, ScoreOf::Road, *iou)?;
     }
-    let report = recording.finish(&counts, &statistics, judged.truth)?;
-    table::print(&report, &engine, Some(&args.out), args.json);
-    Ok(())
+    Ok(recording.finish(&counts, &statistics, judged.truth)?)
 }

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use freespace::port::{CameraPort, WheelPort};
 use freespace::track::WheelConfig;
 
-use super::drive::{self, DriveLog, Progress, Recorded, Recorder, Watch};
-use super::{Failure, Pace, ReplayArgs, Timing, table};
+use super::drive::{self, DriveLog, Progress, Recorder, Watch};
+use super::{Failure, Pace, ReplayArgs, Timing, replay, table};
 use crate::bad_input::BadInput;
 use crate::camera::replay::KeyFrameRule;
 use crate::camera::replay::drive::{DriveFrames, RecordedDrive};
@@ -17,7 +17,7 @@ use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
 use crate::runtime::{self, Devices, Setup};
 use crate::sink::mcap::Losses;
-use crate::sink::recording::{Recording, Report, RunTitle, ScoreOf};
+use crate::sink::recording::{Recording, Report, RunTitle};
 use crate::wheels::RecordedWheels;
 
 /// Replays a recorded drive, and prints what it came to.
@@ -87,7 +87,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         },
     )?;
     let mut network = drive::open_network(&config)?;
-    config.crf.ablation = super::replay::ablation(args);
+    config.crf.ablation = replay::ablation(args);
     let odometer = odometer(&config).filter(|_| recorded.drive().has_wheels);
     let pipeline = drive::pipeline_config(&config, camera, odometer, recorded.drive().cadence());
     let title = RunTitle {
@@ -130,18 +130,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         Timing::Own => drive::run(setup, args.pace, &mut log.noted(&mut recorder))?,
     };
     log.finish();
-    let Recorded {
-        mut recording,
-        counts,
-        statistics,
-    } = recorder.finish(&summary)?;
-    let poses = recording.poses()?.into_iter().enumerate();
-    let judged = reference.compare(poses, &recording.mask_folder())?;
-    recording.know_path(reference.poses());
-    for (name, iou) in &judged.road_iou {
-        recording.score(name, ScoreOf::Road, *iou)?;
-    }
-    let report = recording.finish(&counts, &statistics, judged.truth)?;
+    let report = replay::conclude(recorder, &summary, &reference)?;
     Ok(Replayed {
         drive: recorded,
         report,
