@@ -1,11 +1,13 @@
 """The free-space message in shared memory, and its reader. Made by `cargo run -p freespace-reader --example write_bindings`.
 
-It loads libfreespace_reader.so, built by `cargo build --release -p freespace-reader`: from FREESPACE_READER_LIBRARY, or where
-the system finds libraries. Unknown is not free: a cell may be driven on where its occupancy is 0 to FREE_AT_MOST, nowhere else.
+The reader loads libfreespace_reader.so, built by `cargo build --release -p freespace-reader`: from FREESPACE_READER_LIBRARY, or
+where the system finds libraries. The package iceoryx2 reads the same messages without it: reader/examples/read_iceoryx2.py.
+Unknown is not free: a cell may be driven on where its occupancy is 0 to FREE_AT_MOST, nowhere else.
 """
 
 import ctypes
 import os
+import time
 
 MAGIC = 1162170950
 VERSION = 1
@@ -20,6 +22,8 @@ LEVEL_NO_FRESH_NETWORK = 2
 LEVEL_NO_FRESH_MAP = 3
 LEVEL_MOVED = 4
 LEVEL_INVALID = 5
+# Where the service's files lie.
+FOLDER = "/dev/shm/freespace"
 OK = 0
 NOTHING = 1
 NO_MODULE = -1
@@ -40,6 +44,7 @@ CODES = {
     FAILED: "the shared memory failed: look at the room in /dev/shm, open the reader anew",
     BAD_ARGUMENT: "a pointer is null, or a name is no text",
 }
+LEVELS = ["full", "no_refinement", "no_fresh_network", "no_fresh_map", "moved", "invalid"]
 FAULTS = {
     0x00000001: "image_black",
     0x00000002: "image_overexposed",
@@ -148,6 +153,33 @@ class Message(ctypes.Structure):
         ("age", ctypes.c_uint8 * 240000),
     ]
 
+    @staticmethod
+    def type_name():
+        """Its name in the service."""
+        return "freespace_message_1"
+
+    def is_layout_known(self):
+        """Whether it is a message of this layout; nothing of another one may be read."""
+        has_sizes = self.total_bytes == BYTES and self.header_bytes == Message.occupancy.offset and self.sectors == SECTORS
+        return self.magic == MAGIC and self.version == VERSION and has_sizes and self.rows * self.columns <= MAX_CELLS
+
+    def age_micros(self):
+        """Microseconds from its capture until now."""
+        now = time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000
+        return max(0, now - self.handed_over_micros) + self.used_micros
+
+    def free_ahead_m(self, half_rad=0.05):
+        """Free distance straight ahead of the rear axle, metres: the least of the sectors within half_rad of it.
+
+        0 where the message is not to be used, or says nothing of one of them.
+        """
+        if self.level >= LEVEL_INVALID or not self.sector_rad > 0.0:
+            return 0.0
+        rights = [self.sector_first_rad + k * self.sector_rad for k in range(SECTORS)]
+        ahead = [free for right, free in zip(rights, self.free_m) if right < half_rad and right + self.sector_rad > -half_rad]
+        least = min(ahead, default=0.0) if all(free >= 0.0 for free in ahead) else 0.0
+        return least if least < float("inf") else 0.0
+
 
 assert ctypes.sizeof(Message) == BYTES
 
@@ -167,10 +199,6 @@ def _library():
     library.freespace_reader_next.argtypes = [ctypes.c_void_p, ctypes.c_uint64, ctypes.POINTER(message)]
     library.freespace_reader_close.argtypes = [ctypes.c_void_p]
     library.freespace_reader_close.restype = None
-    library.freespace_age_micros.argtypes = [message]
-    library.freespace_age_micros.restype = ctypes.c_uint64
-    library.freespace_free_ahead_m.argtypes = [message, ctypes.c_float]
-    library.freespace_free_ahead_m.restype = ctypes.c_float
     return library
 
 
@@ -194,14 +222,6 @@ class Reader:
         if code != OK:
             raise ReaderError(code)
         return message.contents
-
-    def age_micros(self, message):
-        """Microseconds from the capture of a message until now."""
-        return self._library.freespace_age_micros(message)
-
-    def free_ahead_m(self, message, half_rad=0.05):
-        """Free distance straight ahead, metres; 0 where the message is not to be used."""
-        return self._library.freespace_free_ahead_m(message, half_rad)
 
     def close(self):
         """Closes the reader."""

@@ -2,13 +2,15 @@
 
 In: a file of `--mcap`. Out: one summary line; exit code 1 on any failure.
 Every message must decode by the schema that the file gives for it, every picture must have as many bytes as its size says, every
-grid as many cells; stamps and log times must agree; with --whole the file must have its index and be read by it.
+grid as many cells, every landmark a place; stamps and log times must agree; with --whole the file must have its index and be read by it.
 
 Usage: recorded_drive.py FILE.mcap [--whole]
 """
 
 import argparse
 import json
+import math
+import struct
 import sys
 from collections import Counter
 
@@ -34,6 +36,13 @@ def check_grid(grid) -> None:
     assert [field.name for field in grid.fields] == ["occupancy"]
     cells = [byte - 256 if byte > 127 else byte for byte in grid.data]
     assert all(-1 <= cell <= 100 for cell in cells), "a cell outside -1..100"
+
+
+def check_cloud(cloud) -> None:
+    assert cloud.data and len(cloud.data) % cloud.point_stride == 0, f"{len(cloud.data)} bytes by {cloud.point_stride}"
+    assert [field.name for field in cloud.fields][:3] == ["x", "y", "z"] and cloud.frame_id == "world"
+    for (x, y, z) in (struct.unpack_from("<3f", cloud.data, at) for at in range(0, len(cloud.data), cloud.point_stride)):
+        assert all(map(math.isfinite, (x, y, z))), "a landmark that is nowhere"
 
 
 def check_own(schema, data: bytes) -> None:
@@ -70,6 +79,8 @@ def main() -> int:
                 check_image(decoded, message.log_time)
             elif schema.name == "foxglove.Grid":
                 check_grid(decoded)
+            elif schema.name == "foxglove.PointCloud":
+                check_cloud(decoded)
     for topic in ("/camera/image", "/camera/calibration", "/tf"):
         assert counts[topic], f"no message of {topic}"
     print(", ".join(f"{topic} {count}" for topic, count in sorted(counts.items())))

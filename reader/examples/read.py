@@ -9,8 +9,6 @@ import time
 
 import freespace
 
-LEVELS = ["full", "no_refinement", "no_fresh_network", "no_fresh_map", "moved", "invalid"]
-
 
 def open_reader(name):
     while True:
@@ -23,12 +21,12 @@ def open_reader(name):
         time.sleep(1.0)
 
 
-def show(reader, message):
+def show(message):
     cells = message.rows * message.columns
     unknown = message.occupancy[:cells].count(freespace.UNKNOWN)
     print(
-        f"{message.sequence:6} {LEVELS[message.level]:<16} age {reader.age_micros(message) * 1e-3:6.1f} ms, "
-        f"free ahead {reader.free_ahead_m(message):5.1f} m, {unknown} of {cells} cells unknown (not free)",
+        f"{message.sequence:6} {freespace.LEVELS[message.level]:<16} age {message.age_micros() * 1e-3:6.1f} ms, "
+        f"free ahead {message.free_ahead_m():5.1f} m, {unknown} of {cells} cells unknown (not free)",
         flush=True,
     )
 
@@ -42,7 +40,7 @@ def main():
             if message is None:
                 print("no message for 1 s: nothing is known to be free")
                 continue
-            show(reader, message)
+            show(message)
             messages -= 1
 
 

@@ -8,9 +8,10 @@ use core::fmt::Write as _;
 use freespace::budget::{MAX_CELLS, SECTORS};
 use freespace::emit::{Element, FIELDS, Field, SHARED_BYTES, SHARED_VERSION};
 use freespace::grid::Grid;
-use freespace::health::Faults;
+use freespace::health::{Faults, QualityLevel};
 
 use crate::c::CODES;
+use crate::service::{FOLDER, PAYLOAD_NAME};
 
 const C_BEGIN: &str = r#"/* The free-space message in shared memory, and its reader. Made by `cargo run -p freespace-reader --example write_bindings`.
  *
@@ -62,16 +63,44 @@ float freespace_free_ahead_m(const freespace_message *message, float half_rad);
 
 const PYTHON_BEGIN: &str = r#""""The free-space message in shared memory, and its reader. Made by `cargo run -p freespace-reader --example write_bindings`.
 
-It loads libfreespace_reader.so, built by `cargo build --release -p freespace-reader`: from FREESPACE_READER_LIBRARY, or where
-the system finds libraries. Unknown is not free: a cell may be driven on where its occupancy is 0 to FREE_AT_MOST, nowhere else.
+The reader loads libfreespace_reader.so, built by `cargo build --release -p freespace-reader`: from FREESPACE_READER_LIBRARY, or
+where the system finds libraries. The package iceoryx2 reads the same messages without it: reader/examples/read_iceoryx2.py.
+Unknown is not free: a cell may be driven on where its occupancy is 0 to FREE_AT_MOST, nowhere else.
 """
 
 import ctypes
 import os
+import time
 
 "#;
 
 const PYTHON_END: &str = r#"
+    def is_layout_known(self):
+        """Whether it is a message of this layout; nothing of another one may be read."""
+        has_sizes = self.total_bytes == BYTES and self.header_bytes == Message.occupancy.offset and self.sectors == SECTORS
+        return self.magic == MAGIC and self.version == VERSION and has_sizes and self.rows * self.columns <= MAX_CELLS
+
+    def age_micros(self):
+        """Microseconds from its capture until now."""
+        now = time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000
+        return max(0, now - self.handed_over_micros) + self.used_micros
+
+    def free_ahead_m(self, half_rad=0.05):
+        """Free distance straight ahead of the rear axle, metres: the least of the sectors within half_rad of it.
+
+        0 where the message is not to be used, or says nothing of one of them.
+        """
+        if self.level >= LEVEL_INVALID or not self.sector_rad > 0.0:
+            return 0.0
+        rights = [self.sector_first_rad + k * self.sector_rad for k in range(SECTORS)]
+        ahead = [free for right, free in zip(rights, self.free_m) if right < half_rad and right + self.sector_rad > -half_rad]
+        least = min(ahead, default=0.0) if all(free >= 0.0 for free in ahead) else 0.0
+        return least if least < float("inf") else 0.0
+
+
+assert ctypes.sizeof(Message) == BYTES
+
+
 class ReaderError(Exception):
     """Why messages cannot be read; `code` is one of the codes above."""
 
@@ -87,10 +116,6 @@ def _library():
     library.freespace_reader_next.argtypes = [ctypes.c_void_p, ctypes.c_uint64, ctypes.POINTER(message)]
     library.freespace_reader_close.argtypes = [ctypes.c_void_p]
     library.freespace_reader_close.restype = None
-    library.freespace_age_micros.argtypes = [message]
-    library.freespace_age_micros.restype = ctypes.c_uint64
-    library.freespace_free_ahead_m.argtypes = [message, ctypes.c_float]
-    library.freespace_free_ahead_m.restype = ctypes.c_float
     return library
 
 
@@ -114,14 +139,6 @@ class Reader:
         if code != OK:
             raise ReaderError(code)
         return message.contents
-
-    def age_micros(self, message):
-        """Microseconds from the capture of a message until now."""
-        return self._library.freespace_age_micros(message)
-
-    def free_ahead_m(self, message, half_rad=0.05):
-        """Free distance straight ahead, metres; 0 where the message is not to be used."""
-        return self._library.freespace_free_ahead_m(message, half_rad)
 
     def close(self):
         """Closes the reader."""
@@ -223,6 +240,7 @@ pub fn python_module() -> String {
     for (name, value) in constants() {
         let _ = writeln!(text, "{name} = {value}");
     }
+    let _ = writeln!(text, "# Where the service's files lie.\nFOLDER = \"{FOLDER}\"");
     for (name, code, _) in CODES {
         let _ = writeln!(text, "{name} = {code}");
     }
@@ -230,7 +248,12 @@ pub fn python_module() -> String {
     for (name, _, says) in CODES {
         let _ = writeln!(text, "    {name}: \"{says}\",");
     }
-    text.push_str("}\nFAULTS = {\n");
+    let levels: Vec<&str> = (0..=5)
+        .filter_map(QualityLevel::from_wire)
+        .map(QualityLevel::name)
+        .collect();
+    let _ = writeln!(text, "}}\nLEVELS = {levels:?}");
+    text.push_str("FAULTS = {\n");
     for (fault, name) in Faults::NAMED {
         let _ = writeln!(text, "    0x{:08X}: \"{name}\",", fault.0);
     }
@@ -245,7 +268,10 @@ pub fn python_module() -> String {
             field.offset, field.doc, field.name
         );
     }
-    text.push_str("    ]\n\n\nassert ctypes.sizeof(Message) == BYTES\n\n");
+    text.push_str("    ]\n\n");
+    let _ = writeln!(text, "    @staticmethod\n    def type_name():");
+    let _ = writeln!(text, "        \"\"\"Its name in the service.\"\"\"");
+    let _ = writeln!(text, "        return \"{PAYLOAD_NAME}\"");
     text.push_str(PYTHON_END);
     text
 }

@@ -36,6 +36,9 @@ pub const fn slots(max_readers: usize) -> usize {
     max_readers * (READER_BUFFER + READER_HOLDS) + HISTORY + WRITER_HOLDS
 }
 
+/// What the service calls the type of its messages.
+pub const PAYLOAD_NAME: &str = "freespace_message_1";
+
 /// A message, as the service names its type.
 #[repr(transparent)]
 pub struct Payload(pub SharedMessage);
@@ -43,7 +46,7 @@ pub struct Payload(pub SharedMessage);
 // SAFETY: it is `#[repr(C)]` through and through, holds numbers alone, and its name changes with its layout.
 unsafe impl ZeroCopySend for Payload {
     unsafe fn type_name() -> &'static str {
-        "freespace_message_1"
+        PAYLOAD_NAME
     }
 }
 

@@ -113,6 +113,22 @@ fn the_python_example_reads() {
     check(&served(&module::name("python"), &mut command));
 }
 
+#[test]
+fn the_python_example_reads_with_the_package_iceoryx2() {
+    let python = std::env::var("FREESPACE_CHECKS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let found = Command::new(&python).args(["-c", "import iceoryx2"]).output();
+    if !found.is_ok_and(|output| output.status.success()) {
+        eprintln!("SKIPPED: {python} has not iceoryx2; FREESPACE_CHECKS_PYTHON=$(hil/checks/venv) has");
+        return;
+    }
+    let mut command = Command::new(python);
+    command
+        .arg(root().join("reader/examples/read_iceoryx2.py"))
+        .env("PYTHONPATH", root().join("include"))
+        .env("PYTHONDONTWRITEBYTECODE", "1");
+    check(&served(&module::name("iceoryx2"), &mut command));
+}
+
 /// A library as `cargo build` leaves it, or as `cargo test` does.
 fn library(file: &str) -> PathBuf {
     let beside_tests = built().join("deps").join(file);

@@ -4,9 +4,11 @@ use alloc::boxed::Box;
 use alloc::vec;
 
 use super::PipelineConfig;
+use crate::budget::MAX_LANDMARKS;
 use crate::emit::{CanFrame, FreeSpaceMessage, can::FRAMES};
 use crate::grid::{Boundary, Grid};
 use crate::health::{Blame, Faults, QualityLevel, ScaleState, TrackingState};
+use crate::map::Landmark;
 use crate::priors::Priors;
 use crate::space::{Micros, Plane, Pose};
 use crate::stage::{Cuts, StageTimes};
@@ -50,8 +52,8 @@ pub struct KeyFrameOutput {
     pub grid: Grid,
     /// Free distance in each bearing sector.
     pub boundary: Boundary,
-    /// Landmarks in the map.
-    pub landmarks: usize,
+    /// Landmarks of the map, in world space.
+    pub landmarks: heapless::Vec<Landmark, MAX_LANDMARKS>,
     /// The free-space message, `message_len` bytes of it.
     pub message: Box<[u8]>,
     /// See `message`.
@@ -96,7 +98,7 @@ impl KeyFrameOutput {
             priors: Priors::default(),
             grid,
             boundary: Boundary::new(0.0, 0.0),
-            landmarks: 0,
+            landmarks: heapless::Vec::new(),
             times: StageTimes::default(),
             cuts: Cuts::default(),
             publication: 0,
@@ -130,7 +132,9 @@ impl KeyFrameOutput {
         self.has_frame = other.has_frame;
         self.energy_gap = other.energy_gap;
         self.plane_in_camera = other.plane_in_camera;
-        self.landmarks = other.landmarks;
+        self.landmarks.clear();
+        // Same capacity on both sides.
+        let _ = self.landmarks.extend_from_slice(&other.landmarks);
         self.times = other.times;
         self.cuts = other.cuts;
     }
@@ -141,6 +145,7 @@ impl KeyFrameOutput {
         self.confidence.fill(0.0);
         self.grid.clear();
         self.boundary.free_m.fill(0.0);
+        self.landmarks.clear();
         self.faults = Faults::NONE;
         self.blame = None;
         self.level = QualityLevel::Invalid;

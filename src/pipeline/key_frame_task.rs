@@ -161,7 +161,7 @@ impl KeyFrameTask {
         self.describe(output);
         let stale = Stale {
             is_lost: output.faults.contains(Faults::TRACKING_LOST),
-            map: !is_map_fresh || output.landmarks == 0,
+            map: !is_map_fresh || output.landmarks.is_empty(),
             priors: !are_priors_fresh,
             plane: output.faults.contains(Faults::PLANE_HELD),
             scale: output.faults.contains(Faults::SCALE_HELD),
@@ -195,7 +195,9 @@ impl KeyFrameTask {
         if self.map.scale_state() == ScaleState::Held {
             output.faults.insert(Faults::SCALE_HELD);
         }
-        output.landmarks = self.map.landmarks().len();
+        output.landmarks.clear();
+        // The map holds no more than that.
+        let _ = output.landmarks.extend_from_slice(self.map.landmarks());
     }
 
     /// Stage 3: the batch goes into the map, which is refined until its slice ends; whether it took place.

@@ -1,5 +1,6 @@
-//! The recording as a user's tools read it: Python's `mcap` with the schemas that stand in the file.
+//! The recording as a user's tools read it: Python's `mcap` with the schemas that stand in the file, and Rerun.
 
+use std::path::PathBuf;
 use std::process::Command;
 
 use freespace_platform::runtime::run_in_lockstep;
@@ -8,44 +9,68 @@ use freespace_platform::sink::mcap::{DriveRecorder, Split};
 use crate::rig;
 use crate::simulated::{self, Triangle};
 
-#[test]
-fn pythons_packages_read_every_message() {
+/// The interpreter that has these modules; says so where there is none.
+fn python_with(modules: &str) -> Option<String> {
     let python = std::env::var("FREESPACE_CHECKS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let packages = Command::new(&python)
-        .args(["-c", "import mcap, mcap_protobuf, lz4"])
-        .output();
-    if !packages.is_ok_and(|output| output.status.success()) {
+    let import = format!("import {modules}");
+    let found = Command::new(&python).args(["-c", &import]).output();
+    if !found.is_ok_and(|output| output.status.success()) {
         eprintln!(
-            "SKIPPED: {python} has not the packages of hil/checks/requirements.txt; FREESPACE_CHECKS_PYTHON=$(hil/checks/venv) has"
+            "SKIPPED: {python} has not {modules} (hil/checks/requirements.txt); FREESPACE_CHECKS_PYTHON=$(hil/checks/venv) has"
         );
-        return;
+        return None;
     }
-    let path = rig::path("python");
+    Some(python)
+}
+
+/// A short drive, recorded.
+fn drive(name: &str) -> PathBuf {
+    let path = rig::path(name);
     let (camera, frames, wheels) = simulated::devices(2.0);
     let setup = simulated::setup(camera, frames, Some(wheels), Triangle::new(0..0));
     let mut recorder = DriveRecorder::open(rig::plan(&path, &setup, Split::default())).unwrap();
     let setup = rig::recorded(setup, &mut recorder);
     run_in_lockstep(setup, &mut recorder.noted(&mut Nobody));
     recorder.finish();
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/hil/checks/recorded_drive.py");
-    let checked = Command::new(&python)
-        .args([script, "--whole"])
-        .arg(&path)
-        .output()
-        .unwrap();
-    let (text, fault) = (
-        String::from_utf8_lossy(&checked.stdout),
-        String::from_utf8_lossy(&checked.stderr),
-    );
+    path
+}
+
+/// What a script of `hil/checks` prints, which must succeed.
+fn checked(python: &str, script: &str, arguments: &[&str]) -> String {
+    let script = format!("{}/hil/checks/{script}", env!("CARGO_MANIFEST_DIR"));
+    let checked = Command::new(python).arg(script).args(arguments).output().unwrap();
+    let text = String::from_utf8_lossy(&checked.stdout).into_owned();
+    let fault = String::from_utf8_lossy(&checked.stderr);
     assert!(checked.status.success(), "{text}{fault}");
+    text
+}
+
+#[test]
+fn pythons_packages_read_every_message() {
+    let Some(python) = python_with("mcap, mcap_protobuf, lz4") else {
+        return;
+    };
+    let path = drive("python");
+    let text = checked(&python, "recorded_drive.py", &["--whole", path.to_str().unwrap()]);
     for topic in [
         "/camera/image 20",
         "/freespace/grid 4",
+        "/freespace/landmarks ",
         "/freespace/key_frame 4",
         "/can/out 4",
     ] {
         assert!(text.contains(topic), "{text}");
     }
+}
+
+#[test]
+fn rerun_shows_pictures_poses_and_landmarks() {
+    let Some(python) = python_with("rerun") else {
+        return;
+    };
+    let path = drive("rerun");
+    let text = checked(&python, "rerun_opens.py", &[path.to_str().unwrap()]);
+    assert!(text.contains("/camera/image 20 as Image:buffer"), "{text}");
 }
 
 struct Nobody;

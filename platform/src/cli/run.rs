@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
 use freespace::frame::Camera;
 use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::{SinkPort, WheelPort};
 use freespace::track::WheelConfig;
 
-use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
+use super::drive::{self, Calm, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
 use super::{Failure, Pace, RunArgs, table, terminal};
 use crate::bad_input::BadInput;
 use crate::camera::v4l2::{CameraEvents, V4l2Camera};
@@ -139,11 +140,36 @@ fn open_bus(config: &Config, watch: &mut Watch) -> Result<Bus, Failure> {
 
 fn camera_lines(mut events: CameraEvents) -> impl FnMut() -> Option<String> {
     let device = events.device().display().to_string();
-    move || events.next_event().map(|event| format!("{device}: {event}"))
+    let mut calm = Calm::new(Instant::now());
+    move || {
+        let now = Instant::now();
+        while let Some(event) = events.next_event() {
+            if let Some(line) = calm.take(format!("{device}: {event}"), now) {
+                return Some(line);
+            }
+        }
+        calm.due(now)
+    }
 }
 
 fn can_lines(mut listener: CanListener) -> impl FnMut() -> Option<String> {
-    move || listener.next_event().map(|trace| listener.line(&trace))
+    // Each interface its own: one that flaps must not hide what another one tells.
+    let mut calm: Vec<Calm> = (listener.interfaces().iter())
+        .map(|_| Calm::new(Instant::now()))
+        .collect();
+    move || {
+        let now = Instant::now();
+        while let Some(trace) = listener.next_event() {
+            let line = listener.line(&trace);
+            let told = calm
+                .get_mut(trace.interface)
+                .and_then(|calm| calm.take(line, now));
+            if told.is_some() {
+                return told;
+            }
+        }
+        calm.iter_mut().find_map(|calm| calm.due(now))
+    }
 }
 
 #[expect(

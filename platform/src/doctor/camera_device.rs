@@ -7,7 +7,7 @@ use freespace::port::{CameraAnswer, CameraPort as _, Clock as _, FrameBuffer};
 use super::{Check, System};
 use crate::camera::v4l2::{CameraCounts, V4l2Camera};
 use crate::clock::MonotonicClock;
-use crate::config::{DeviceSection, ImageSize};
+use crate::config::{DeviceFormat, DeviceSection, ImageSize};
 
 const NAME: &str = "camera device";
 
@@ -47,7 +47,7 @@ pub fn camera_device(system: &System, device: &DeviceSection, size: ImageSize, r
     let path = device.path.display();
     let counts = camera.status().counts();
     if watched.frames == 0 && counts.bad_stamps > 0 {
-        return verdict(path.to_string(), &counts, 0.0, rate_hz, None);
+        return verdict(path.to_string(), &counts, 0.0, rate_hz, None, None);
     }
     let Some(mode) = camera.mode().filter(|_| watched.frames > 0) else {
         let mut told = camera.take_events();
@@ -72,6 +72,7 @@ pub fn camera_device(system: &System, device: &DeviceSection, size: ImageSize, r
         &counts,
         measured,
         rate_hz,
+        Some(mode.format),
         stable_name(system, &device.path),
     )
 }
@@ -103,6 +104,7 @@ fn verdict(
     counts: &CameraCounts,
     measured: f64,
     rate_hz: f64,
+    format: Option<DeviceFormat>,
     stable: Option<String>,
 ) -> Check {
     if counts.bad_stamps > 0 {
@@ -129,6 +131,13 @@ fn verdict(
             NAME,
             seen,
             "forbid the camera to expose longer than a frame lasts: controls = { exposure_dynamic_framerate = false }",
+        );
+    }
+    if format == Some(DeviceFormat::Mjpeg) {
+        return Check::warning(
+            NAME,
+            format!("{seen}; decoding it allocates in the camera's thread"),
+            "name uncompressed formats alone where the bus has room for them: formats = [\"yuyv\", \"nv12\", \"grey\"]",
         );
     }
     match stable {
@@ -198,13 +207,23 @@ mod tests {
 
     #[test]
     fn what_is_wrong_comes_before_what_could_be_better() {
-        let of = |counts: CameraCounts, measured, stable: Option<&str>| {
-            verdict(String::new(), &counts, measured, 30.0, stable.map(str::to_owned))
+        let given = |counts: CameraCounts, measured, format, stable: Option<&str>| {
+            verdict(
+                String::new(),
+                &counts,
+                measured,
+                30.0,
+                Some(format),
+                stable.map(str::to_owned),
+            )
         };
+        let of = |counts, measured, stable| given(counts, measured, DeviceFormat::Yuyv, stable);
         let sound = CameraCounts::default();
         assert_eq!(of(sound, 30.0, None).state, State::Ok);
         let named = of(sound, 30.0, Some("/dev/v4l/by-path/x"));
         assert!(named.fix.unwrap().contains("path = \"/dev/v4l/by-path/x\""));
+        let compressed = given(sound, 30.0, DeviceFormat::Mjpeg, Some("x"));
+        assert!(compressed.fix.unwrap().contains("yuyv"));
         let slow = of(sound, 15.0, Some("x"));
         assert!(slow.fix.unwrap().contains("exposure_dynamic_framerate"));
         let lost = CameraCounts { damaged: 1, ..sound };

@@ -261,11 +261,12 @@ impl Decoding {
         } else {
             writeln!(
                 self.out,
-                "{} frames, {} described; end to end {} ok, {} wrong; grids {} whole, {} refused; wheels {} readings, {} refused",
+                "{} frames, {} described; end to end {} ok, {} wrong{}; grids {} whole, {} refused; wheels {} readings, {} refused",
                 summary.frames,
                 summary.described,
                 summary.e2e_ok,
                 summary.e2e_wrong,
+                whose(summary),
                 summary.grids,
                 summary.grids_refused,
                 summary.readings,
@@ -273,6 +274,15 @@ impl Decoding {
             )
         };
         let _ = self.out.flush();
+    }
+}
+
+/// What to think of frames none of which is whole.
+const fn whose(summary: &Summary) -> &'static str {
+    if summary.e2e_ok == 0 && summary.e2e_wrong > 0 {
+        " (none is the module's: another device has its identifiers; give that bus's --dbc)"
+    } else {
+        ""
     }
 }
 

@@ -1,11 +1,13 @@
 //! What `run`, `demo` and `replay` share: the pipeline built from a configuration, watched, and its results recorded.
 
+mod calm;
 mod log;
 mod progress;
 mod recorder;
 mod view;
 mod watch;
 
+pub(in crate::cli) use calm::Calm;
 pub(in crate::cli) use log::DriveLog;
 pub(in crate::cli) use progress::Progress;
 pub(in crate::cli) use recorder::{Recorded, Recorder};

@@ -66,7 +66,7 @@ impl ViewFeed {
             key_frames: self.status.key_frames,
             deadline_misses: self.status.deadline_misses,
             restarts: self.status.restarts,
-            landmarks: output.landmarks,
+            landmarks: output.landmarks.len(),
             boxes: output.priors.boxes.len(),
             energy_gap: output.energy_gap,
             events: self.lines.iter().cloned().collect(),

@@ -1,13 +1,13 @@
 //! What a recorded drive is made of: topics, their schemas, and the messages that are this program's own.
 //!
-//! Pictures, grid, transforms, calibration and log are Foxglove's schemas in protobuf, so that any viewer shows them; what only a
+//! Pictures, grid, landmarks, transforms, calibration and log are Foxglove's schemas in protobuf, so that any viewer shows them; what only a
 //! replay needs is JSON with a schema beside it. `log_time` is the capture stamp, of a publication the instant at which it left,
 //! in nanoseconds of the drive's monotonic clock. Numbers are written so that they are read back to the last bit.
 
 use std::borrow::Cow;
 
 use foxglove::Encode;
-use foxglove::schemas::{CameraCalibration, FrameTransform, Grid, Log, RawImage};
+use foxglove::schemas::{CameraCalibration, FrameTransform, Grid, Log, PointCloud, RawImage};
 use freespace::health::TrackingState;
 use freespace::space::Micros;
 use freespace::track::WheelReading;
@@ -26,6 +26,8 @@ pub enum Topic {
     Transform,
     /// The grid, `foxglove.Grid`.
     Grid,
+    /// The map's landmarks, `foxglove.PointCloud`.
+    Landmarks,
     /// Wheel readings as the pipeline got them.
     Wheels,
     /// What *frame* and *track* made of each frame.
@@ -48,12 +50,13 @@ pub(super) struct Layout {
 
 impl Topic {
     /// All topics.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Image,
         Self::KeyFrameWanted,
         Self::Calibration,
         Self::Transform,
         Self::Grid,
+        Self::Landmarks,
         Self::Wheels,
         Self::Frame,
         Self::KeyFrame,
@@ -70,6 +73,7 @@ impl Topic {
             Self::Calibration => "/camera/calibration",
             Self::Transform => "/tf",
             Self::Grid => "/freespace/grid",
+            Self::Landmarks => "/freespace/landmarks",
             Self::Wheels => "/wheels",
             Self::Frame => "/freespace/frame",
             Self::KeyFrame => "/freespace/key_frame",
@@ -90,6 +94,7 @@ impl Topic {
             Self::Calibration => foxglove_layout::<CameraCalibration>(),
             Self::Transform => foxglove_layout::<FrameTransform>(),
             Self::Grid => foxglove_layout::<Grid>(),
+            Self::Landmarks => foxglove_layout::<PointCloud>(),
             Self::Log => foxglove_layout::<Log>(),
             Self::KeyFrameWanted => json_layout("freespace.KeyFrameWanted", WANTED_SCHEMA),
             Self::Wheels => json_layout("freespace.WheelReading", WHEELS_SCHEMA),

@@ -6,6 +6,7 @@
 //! the drive goes on. Cost: `FRAMES_WAITING` frame buffers, one copy a frame on the camera's thread, and about a tenth of a
 //! core for 28 MB/s.
 
+mod cloud;
 mod format;
 mod losses;
 mod note;

@@ -10,8 +10,10 @@ use foxglove::schemas::packed_element_field::NumericType;
 use foxglove::schemas::{Grid, Log, PackedElementField, Pose, Quaternion, Vector2, Vector3, log};
 use freespace::emit::CanFrame;
 use freespace::frame::Camera;
+use freespace::health::QualityLevel;
 use freespace::pipeline::KeyFrameOutput;
 
+use super::cloud::cloud;
 use super::format::{CanFrameNote, CanNote, FrameNote, KeyFrameNote, Topic};
 use super::note::{Note, timestamp, transform};
 use super::parts::{Counters, add};
@@ -69,6 +71,11 @@ impl NoteTaker {
     fn key_frame(&self, output: &KeyFrameOutput) {
         let left = output.stamp.plus(output.latency_micros);
         self.note(Note::encoded(Topic::Grid, left, &self.grid(output)));
+        // What stands in for an answer holds the landmarks of an earlier one.
+        if output.level < QualityLevel::Moved && !output.landmarks.is_empty() {
+            let points = cloud(&output.landmarks, output.stamp);
+            self.note(Note::encoded(Topic::Landmarks, left, &points));
+        }
         self.can_frames(output);
     }
 

@@ -288,7 +288,12 @@ impl Gathered {
                     None => self.frameless_notes.push(key_frame),
                 }
             }
-            Topic::Calibration | Topic::Transform | Topic::Grid | Topic::CanOut | Topic::Log => {}
+            Topic::Calibration
+            | Topic::Transform
+            | Topic::Grid
+            | Topic::Landmarks
+            | Topic::CanOut
+            | Topic::Log => {}
         }
         Ok(())
     }

@@ -1,0 +1,83 @@
+"""Prints what the module publishes, read with the package iceoryx2: nothing to build.
+
+    pip install iceoryx2==0.10.0
+    PYTHONPATH=include python3 reader/examples/read_iceoryx2.py [NAME [MESSAGES]]
+
+The package has the version that the module is built with: its files in /dev/shm are laid out by version. `freespace.Reader`
+needs no package, and wakes a little faster.
+"""
+
+import sys
+import time
+
+import freespace
+import iceoryx2
+
+NO_MODULE_YET = (iceoryx2.EventOpenError, iceoryx2.PublishSubscribeOpenError)
+
+
+def make_node():
+    config = iceoryx2.config.default()
+    config.global_cfg.root_path = iceoryx2.Path.new(freespace.FOLDER)
+    # Disabled: Ctrl-C is Python's.
+    disabled = iceoryx2.SignalHandlingMode.Disabled
+    return iceoryx2.NodeBuilder.new().config(config).signal_handling_mode(disabled).create(iceoryx2.ServiceType.Ipc)
+
+
+def open_ports(node, name):
+    """What wakes, and what receives; the first one first, so that no message slips between the two."""
+    service = node.service_builder(iceoryx2.ServiceName.new(name))
+    listener = service.event().open().listener_builder().create()
+    messages = service.publish_subscribe(freespace.Message).open()
+    return listener, messages.subscriber_builder().buffer_size(1).history_request(1).create()
+
+
+def wait_for_module(node, name):
+    while True:
+        try:
+            return open_ports(node, name)
+        except NO_MODULE_YET as error:
+            print(f"waiting for a module that publishes {name}: {error}", file=sys.stderr)
+        time.sleep(1.0)
+
+
+def next_sample(listener, subscriber, timeout_s):
+    """The newest message not had yet, or None. It is read in place, and good for as long as the sample is kept."""
+    until = time.monotonic() + timeout_s
+    while (sample := subscriber.receive()) is None:
+        left = until - time.monotonic()
+        if left <= 0.0:
+            return None
+        listener.timed_wait(iceoryx2.Duration.from_secs_f64(left))
+    return sample
+
+
+def show(message):
+    cells = message.rows * message.columns
+    unknown = message.occupancy[:cells].count(freespace.UNKNOWN)
+    print(
+        f"{message.sequence:6} {freespace.LEVELS[message.level]:<16} age {message.age_micros() * 1e-3:6.1f} ms, "
+        f"free ahead {message.free_ahead_m():5.1f} m, {unknown} of {cells} cells unknown (not free)",
+        flush=True,
+    )
+
+
+def main():
+    name = sys.argv[1] if len(sys.argv) > 1 else "freespace/grid"
+    messages = int(sys.argv[2]) if len(sys.argv) > 2 else -1
+    node = make_node()
+    listener, subscriber = wait_for_module(node, name)
+    while messages != 0:
+        sample = next_sample(listener, subscriber, timeout_s=1.0)
+        if sample is None:
+            print("no message for 1 s: nothing is known to be free")
+            continue
+        message = sample.payload().contents
+        if not message.is_layout_known():
+            sys.exit("the module publishes another layout: take freespace.py of its version")
+        show(message)
+        messages -= 1
+
+
+if __name__ == "__main__":
+    main()
