@@ -130,6 +130,8 @@ pub struct PlaneSearch {
     pub forward: Vector3<f64>,
     /// Curvature of the car's path, positive left.
     pub curvature_per_m: f64,
+    /// Share of what the landmarks say that the expectation does not hold yet, 0 to 1.
+    pub news: f64,
 }
 
 /// A plane found.
@@ -354,7 +356,7 @@ fn refine(
             right += row * (p.y * share / spread);
             support += share;
         }
-        let worth = (config.effective_inliers / support.max(1e-9)).min(1.0);
+        let worth = search.news * (config.effective_inliers / support.max(1e-9)).min(1.0);
         let inverse = (normal * worth + prior).try_inverse()?;
         slopes = inverse * (right * worth + prior * search.expected);
         variance = inverse.diagonal();

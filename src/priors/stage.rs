@@ -59,6 +59,12 @@ impl Default for PriorsConfig {
     }
 }
 
+/// A car that moved less between two key frames stands.
+const STILL_M: f64 = 0.05;
+/// After this way landmarks say something new of the plane; before, their errors are those of the key frame before, and what is
+/// counted again and again would pull the plane of a car that stands or crawls after them. A longer way follows the bends of a
+/// real road too slowly: F on KITTI 03 is 90.55 % with 3 m, 90.19 with 5, 89.60 with 10 (90.52 where all is new each time).
+const NEWS_M: f64 = 3.0;
 /// How much the camera bobs on the springs while it travels.
 const TRAVEL_SHAKE_M: f64 = 0.01;
 
@@ -107,6 +113,7 @@ pub struct PriorsStage {
     past: Option<Past>,
     plane_in_camera: Plane,
     curvature_per_m: f64,
+    news: f64,
 }
 
 impl PriorsStage {
@@ -140,6 +147,7 @@ impl PriorsStage {
             past: None,
             plane_in_camera: camera.mount.plane_in_camera(),
             curvature_per_m: 0.0,
+            news: 1.0,
         }
     }
 
@@ -296,6 +304,7 @@ impl PriorsStage {
             variance: self.filter.variance(),
             forward: self.forward,
             curvature_per_m: self.curvature_per_m,
+            news: self.news,
         }
     }
 
@@ -316,14 +325,18 @@ impl PriorsStage {
     fn predict(&mut self, world_from_camera: &Pose, stamp: Micros) {
         let Some(past) = self.past else { return };
         let past_from_now = past.world_from_camera.inverse() * world_from_camera;
+        let driven_m = past_from_now.translation.vector.norm();
         self.filter.turn(&past_from_now.rotation.inverse());
-        self.filter.predict(stamp.seconds_since(past.stamp));
+        // Under a car that stands the road stays as it is.
+        if driven_m > STILL_M {
+            self.filter.predict(stamp.seconds_since(past.stamp));
+        }
+        self.news = (driven_m / NEWS_M).min(1.0);
         let up = self.filter.plane().normal;
         let turned = past_from_now.rotation * self.forward;
         let yaw_rad = up
             .dot(&self.forward.cross(&turned))
             .atan2(self.forward.dot(&turned));
-        let driven_m = past_from_now.translation.vector.norm();
         // Standing still keeps the last curvature; a car turns no tighter than 5 m.
         if driven_m > 0.5 {
             let travelled = past_from_now

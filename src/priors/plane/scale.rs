@@ -71,8 +71,9 @@ pub fn find_scale(
         scaled.point = support.point * coarse;
         scaled.depth_sigma_m = support.depth_sigma_m * coarse as f32;
     }
-    // The distance is free here: that is what is measured.
+    // The distance is free here: that is what is measured, anew each time.
     let free = PlaneSearch {
+        news: 1.0,
         variance: Vector3::new(1.0, search.variance[1], search.variance[2]),
         ..*search
     };

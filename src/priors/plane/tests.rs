@@ -62,6 +62,7 @@ fn search(mount: &Mount) -> PlaneSearch {
         variance: filter.variance(),
         forward: Vector3::z(),
         curvature_per_m: 0.0,
+        news: 1.0,
     }
 }
 
