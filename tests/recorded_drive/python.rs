@@ -16,7 +16,7 @@ fn python_with(modules: &str) -> Option<String> {
     let found = Command::new(&python).args(["-c", &import]).output();
     if !found.is_ok_and(|output| output.status.success()) {
         eprintln!(
-            "SKIPPED: {python} has not {modules} (hil/checks/requirements.txt); FREESPACE_CHECKS_PYTHON=$(hil/checks/venv) has"
+            "SKIPPED: {python} has not {modules} (hil/checks/readers.txt); FREESPACE_CHECKS_PYTHON=$(hil/checks/venv readers) has"
         );
         return None;
     }
