@@ -23,6 +23,7 @@ pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen)
     let mut reader = GridReader::new(MAX_CELLS);
     let (mut grids, mut refused) = (0, 0);
     let mut good = CellCount::default();
+    let mut worst = 0.0_f64;
     for frame in frames {
         match reader.take(&can_frame(frame)) {
             Ok(GridStep::Complete) => {}
@@ -38,6 +39,7 @@ pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen)
         if grid.level <= QualityLevel::NoRefinement && !is_lap_new {
             let count = compare(&grid, road, feed);
             let share = falsely_free(&count);
+            worst = worst.max(share);
             seen.require(
                 share <= FALSELY_FREE,
                 format!(
@@ -51,8 +53,9 @@ pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen)
         }
     }
     seen.note(format!(
-        "{grids} grids over the bus, free space IoU {:.3}",
-        good.iou()
+        "{grids} grids over the bus, free space IoU {:.3}, {:.0} % falsely free at worst",
+        good.iou(),
+        100.0 * worst
     ));
     seen.require(grids > 0, "no grid came over the bus");
     seen.require(

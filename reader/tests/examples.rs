@@ -118,7 +118,9 @@ fn the_python_example_reads_with_the_package_iceoryx2() {
     let python = std::env::var("FREESPACE_CHECKS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let found = Command::new(&python).args(["-c", "import iceoryx2"]).output();
     if !found.is_ok_and(|output| output.status.success()) {
-        eprintln!("SKIPPED: {python} has not iceoryx2; FREESPACE_CHECKS_PYTHON=$(hil/checks/venv readers) has");
+        eprintln!(
+            "SKIPPED: {python} has not iceoryx2; FREESPACE_CHECKS_PYTHON=$(hil/checks/venv readers) has"
+        );
         return;
     }
     let mut command = Command::new(python);
