@@ -22,8 +22,9 @@ LEVEL_NO_FRESH_NETWORK = 2
 LEVEL_NO_FRESH_MAP = 3
 LEVEL_MOVED = 4
 LEVEL_INVALID = 5
-# Where the service's files lie.
+# Where the service's files lie, and the version of iceoryx2 that lays them out.
 FOLDER = "/dev/shm/freespace"
+ICEORYX2 = "0.10.0"
 OK = 0
 NOTHING = 1
 NO_MODULE = -1

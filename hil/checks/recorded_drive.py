@@ -2,7 +2,8 @@
 
 In: a file of `--mcap`. Out: one summary line; exit code 1 on any failure.
 Every message must decode by the schema that the file gives for it, every picture must have as many bytes as its size says, every
-grid as many cells, every landmark a place; stamps and log times must agree; with --whole the file must have its index and be read by it.
+grid as many cells, every landmark a place; stamps and log times must agree; with --whole the file must have its index and be
+read by it.
 
 Usage: recorded_drive.py FILE.mcap [--whole]
 """

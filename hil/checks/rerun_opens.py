@@ -9,6 +9,7 @@ Usage: rerun_opens.py FILE.mcap
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -27,7 +28,9 @@ CHUNK = re.compile(r"Chunk\(.*\) with (\d+) rows .* - (/\S+) - data columns: \[(
 
 
 def rerun(home: str, *arguments: str) -> str:
-    program = Path(sys.executable).with_name("rerun")
+    beside = Path(sys.executable).with_name("rerun")
+    program = beside if beside.exists() else shutil.which("rerun")
+    assert program, "there is no program `rerun`: pip install rerun-sdk"
     # In a home of its own every session is the first one, in which Rerun reports nothing to its makers.
     environment = {**os.environ, "HOME": home, "XDG_CONFIG_HOME": home, "XDG_CACHE_HOME": home}
     done = subprocess.run([program, *arguments], env=environment, capture_output=True, text=True, check=False)

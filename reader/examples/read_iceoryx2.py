@@ -7,13 +7,38 @@ The package has the version that the module is built with: its files in /dev/shm
 needs no package, and wakes a little faster.
 """
 
+import importlib.metadata
 import sys
 import time
 
 import freespace
 import iceoryx2
 
-NO_MODULE_YET = (iceoryx2.EventOpenError, iceoryx2.PublishSubscribeOpenError)
+NOT_OPENED = (
+    iceoryx2.EventOpenError,
+    iceoryx2.PublishSubscribeOpenError,
+    iceoryx2.ListenerCreateError,
+    iceoryx2.SubscriberCreateError,
+)
+# What such an error says, and what it means here.
+MEANINGS = {
+    "DoesNotExist": freespace.NO_MODULE,
+    "IsMarkedForDestruction": freespace.NO_MODULE,
+    "HangsInCreation": freespace.NO_MODULE,
+    "InsufficientPermissions": freespace.NOT_PERMITTED,
+    "ExceedsMaxNumberOfNodes": freespace.TOO_MANY_READERS,
+    "ExceedsMaxSupportedListeners": freespace.TOO_MANY_READERS,
+    "ExceedsMaxSupportedSubscribers": freespace.TOO_MANY_READERS,
+    "IncompatibleTypes": freespace.WRONG_LAYOUT,
+    "VersionMismatch": freespace.WRONG_LAYOUT,
+}
+
+
+def check_version():
+    found = importlib.metadata.version("iceoryx2")
+    if found.split(".")[:2] != freespace.ICEORYX2.split(".")[:2]:
+        # It would look for other files, and find none for ever.
+        sys.exit(f"iceoryx2 {found} is installed, the module is built with {freespace.ICEORYX2}: install that one")
 
 
 def make_node():
@@ -36,8 +61,11 @@ def wait_for_module(node, name):
     while True:
         try:
             return open_ports(node, name)
-        except NO_MODULE_YET as error:
-            print(f"waiting for a module that publishes {name}: {error}", file=sys.stderr)
+        except NOT_OPENED as error:
+            code = MEANINGS.get(str(error), freespace.FAILED)
+            if code != freespace.NO_MODULE:
+                sys.exit(f"{name}: {freespace.CODES[code]} ({error})")
+        print(f"waiting for a module that publishes {name}", file=sys.stderr)
         time.sleep(1.0)
 
 
@@ -48,7 +76,12 @@ def next_sample(listener, subscriber, timeout_s):
         left = until - time.monotonic()
         if left <= 0.0:
             return None
-        listener.timed_wait(iceoryx2.Duration.from_secs_f64(left))
+        try:
+            listener.timed_wait(iceoryx2.Duration.from_secs_f64(left))
+        except iceoryx2.ListenerWaitError as error:
+            # A signal is Python's to handle, which it does now.
+            if str(error) != "InterruptSignal":
+                raise
     return sample
 
 
@@ -65,6 +98,7 @@ def show(message):
 def main():
     name = sys.argv[1] if len(sys.argv) > 1 else "freespace/grid"
     messages = int(sys.argv[2]) if len(sys.argv) > 2 else -1
+    check_version()
     node = make_node()
     listener, subscriber = wait_for_module(node, name)
     while messages != 0:
@@ -80,4 +114,7 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)

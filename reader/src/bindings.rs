@@ -11,7 +11,7 @@ use freespace::grid::Grid;
 use freespace::health::{Faults, QualityLevel};
 
 use crate::c::CODES;
-use crate::service::{FOLDER, PAYLOAD_NAME};
+use crate::service::{FOLDER, ICEORYX2, PAYLOAD_NAME};
 
 const C_BEGIN: &str = r#"/* The free-space message in shared memory, and its reader. Made by `cargo run -p freespace-reader --example write_bindings`.
  *
@@ -240,7 +240,11 @@ pub fn python_module() -> String {
     for (name, value) in constants() {
         let _ = writeln!(text, "{name} = {value}");
     }
-    let _ = writeln!(text, "# Where the service's files lie.\nFOLDER = \"{FOLDER}\"");
+    let _ = writeln!(
+        text,
+        "# Where the service's files lie, and the version of iceoryx2 that lays them out."
+    );
+    let _ = writeln!(text, "FOLDER = \"{FOLDER}\"\nICEORYX2 = \"{ICEORYX2}\"");
     for (name, code, _) in CODES {
         let _ = writeln!(text, "{name} = {code}");
     }
@@ -248,7 +252,7 @@ pub fn python_module() -> String {
     for (name, _, says) in CODES {
         let _ = writeln!(text, "    {name}: \"{says}\",");
     }
-    let levels: Vec<&str> = (0..=5)
+    let levels: Vec<&str> = (0..=QualityLevel::Invalid as u8)
         .filter_map(QualityLevel::from_wire)
         .map(QualityLevel::name)
         .collect();

@@ -36,6 +36,9 @@ pub const fn slots(max_readers: usize) -> usize {
     max_readers * (READER_BUFFER + READER_HOLDS) + HISTORY + WRITER_HOLDS
 }
 
+/// The library's version: it lays out its files by it.
+pub const ICEORYX2: &str = "0.10.0";
+
 /// What the service calls the type of its messages.
 pub const PAYLOAD_NAME: &str = "freespace_message_1";
 

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use freespace_reader::service::ICEORYX2;
 use module::Module;
 
 const MESSAGES: usize = 3;
@@ -31,9 +32,15 @@ fn served(name: &str, command: &mut Command) -> String {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    while reader.try_wait().unwrap().is_none() {
+    // A reader that finds nothing waits for ever.
+    let mut left = 1200;
+    while left > 0 && reader.try_wait().unwrap().is_none() {
         module.publish().unwrap();
         std::thread::sleep(Duration::from_millis(50));
+        left -= 1;
+    }
+    if left == 0 {
+        reader.kill().unwrap();
     }
     let output = reader.wait_with_output().unwrap();
     assert!(output.status.success());
@@ -116,10 +123,12 @@ fn the_python_example_reads() {
 #[test]
 fn the_python_example_reads_with_the_package_iceoryx2() {
     let python = std::env::var("FREESPACE_CHECKS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let found = Command::new(&python).args(["-c", "import iceoryx2"]).output();
+    let version =
+        "import importlib.metadata, sys; sys.exit(importlib.metadata.version('iceoryx2') != sys.argv[1])";
+    let found = Command::new(&python).args(["-c", version, ICEORYX2]).output();
     if !found.is_ok_and(|output| output.status.success()) {
         eprintln!(
-            "SKIPPED: {python} has not iceoryx2; FREESPACE_CHECKS_PYTHON=$(hil/checks/venv readers) has"
+            "SKIPPED: {python} has not iceoryx2 {ICEORYX2}; FREESPACE_CHECKS_PYTHON=$(hil/checks/venv readers) has"
         );
         return;
     }

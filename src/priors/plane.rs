@@ -343,7 +343,8 @@ fn refine(
     let points = &scratch.weighted[..count];
     let prior = Matrix3::from_diagonal(&search.variance.map(|v| 1.0 / v.max(1e-12)));
     let mut slopes = start;
-    let mut variance = search.variance;
+    // Of the landmarks, at what all of them together are worth: the normal equations.
+    let (mut information, mut moment) = (Matrix3::zeros(), Vector3::zeros());
     for pass in 0..PLANE_PASSES {
         let blur_m = 0.05 * (PLANE_PASSES - 1 - pass) as f64 / (PLANE_PASSES - 1) as f64;
         let (mut normal, mut right, mut support) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
@@ -356,10 +357,9 @@ fn refine(
             right += row * (p.y * share / spread);
             support += share;
         }
-        let worth = search.news * (config.effective_inliers / support.max(1e-9)).min(1.0);
-        let inverse = (normal * worth + prior).try_inverse()?;
-        slopes = inverse * (right * worth + prior * search.expected);
-        variance = inverse.diagonal();
+        let worth = (config.effective_inliers / support.max(1e-9)).min(1.0);
+        (information, moment) = (normal * worth, right * worth);
+        slopes = (information + prior).try_inverse()? * (moment + prior * search.expected);
     }
     let mut inliers = 0;
     for p in points {
@@ -377,9 +377,11 @@ fn refine(
     }
     let heights = &mut scratch.heights_m[..inliers];
     let (_, median, _) = heights.select_nth_unstable_by(inliers / 2, f32::total_cmp);
+    // Support is judged by all that they say; the plane moves by what of it is new.
+    let inverse = (information * search.news + prior).try_inverse()?;
     Some(PlaneFit {
-        slopes,
-        variance,
+        slopes: inverse * (moment * search.news + prior * search.expected),
+        variance: inverse.diagonal(),
         voters: count as u32,
         inliers: inliers as u32,
         sigma_m: 1.4826 * *median,

@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Instant;
 
 use freespace::frame::Camera;
 use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::{SinkPort, WheelPort};
 use freespace::track::WheelConfig;
 
-use super::drive::{self, Calm, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
+use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
 use super::{Failure, Pace, RunArgs, table, terminal};
 use crate::bad_input::BadInput;
 use crate::camera::v4l2::{CameraEvents, V4l2Camera};
@@ -37,7 +36,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         terminal::tell(format_args!("{}: {mode}", device.path.display()));
     }
     if let Some(events) = frames.take_events() {
-        watch.listen(Box::new(camera_lines(events)));
+        watch.listen(1, Box::new(camera_lines(events)));
     }
     let mut bus = open_bus(&config, &mut watch)?;
     bus.sinks.extend(drive::sinks(&config, Pace::Real, &mut network)?);
@@ -127,7 +126,7 @@ fn open_bus(config: &Config, watch: &mut Watch) -> Result<Bus, Failure> {
         listener,
         ..
     } = can::open(plan).map_err(Failure::bad_input)?;
-    watch.listen(Box::new(can_lines(listener)));
+    watch.listen(listener.interfaces().len(), Box::new(can_lines(listener)));
     Ok(Bus {
         wheels: wheels.map(|port| -> Box<dyn WheelPort + Send> { port }),
         odometer,
@@ -138,37 +137,15 @@ fn open_bus(config: &Config, watch: &mut Watch) -> Result<Bus, Failure> {
     })
 }
 
-fn camera_lines(mut events: CameraEvents) -> impl FnMut() -> Option<String> {
+fn camera_lines(mut events: CameraEvents) -> impl FnMut() -> Option<(usize, String)> {
     let device = events.device().display().to_string();
-    let mut calm = Calm::new(Instant::now());
-    move || {
-        let now = Instant::now();
-        while let Some(event) = events.next_event() {
-            if let Some(line) = calm.take(format!("{device}: {event}"), now) {
-                return Some(line);
-            }
-        }
-        calm.due(now)
-    }
+    move || Some((0, format!("{device}: {}", events.next_event()?)))
 }
 
-fn can_lines(mut listener: CanListener) -> impl FnMut() -> Option<String> {
-    // Each interface its own: one that flaps must not hide what another one tells.
-    let mut calm: Vec<Calm> = (listener.interfaces().iter())
-        .map(|_| Calm::new(Instant::now()))
-        .collect();
+fn can_lines(mut listener: CanListener) -> impl FnMut() -> Option<(usize, String)> {
     move || {
-        let now = Instant::now();
-        while let Some(trace) = listener.next_event() {
-            let line = listener.line(&trace);
-            let told = calm
-                .get_mut(trace.interface)
-                .and_then(|calm| calm.take(line, now));
-            if told.is_some() {
-                return told;
-            }
-        }
-        calm.iter_mut().find_map(|calm| calm.due(now))
+        let trace = listener.next_event()?;
+        Some((trace.interface, listener.line(&trace)))
     }
 }
 

@@ -1,7 +1,7 @@
 //! The plane from key frame to key frame.
 //!
-//! In: plane fits. Out: what to expect next. Invariant: without fits the expectation returns to the mount's plane, with the
-//! mount's uncertainty: pitch within seconds, height over a minute. Cost: constant.
+//! In: plane fits. Out: what to expect next. Invariant: of a car that drives without fits the expectation returns to the mount's
+//! plane, with the mount's uncertainty: pitch within seconds, height over a minute. Under one that stands it stays. Cost: constant.
 //! Source: an Ornstein-Uhlenbeck process a slope, whose stationary spread is the mount's.
 
 use nalgebra::{UnitQuaternion, Vector3};

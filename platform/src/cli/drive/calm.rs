@@ -1,7 +1,7 @@
 //! Keeps a device that comes and goes from filling the log.
 //!
 //! In: lines as a device tells them. Out: [`BURST`] of them as they come, then one every [`EVERY`]: the newest, for how things
-//! stand now is what its reader must know, with how many were left out before it. Memory: one line.
+//! stand now is what its reader must know, with how many were left out before it; and the last one at the end. Memory: one line.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ const BURST: u32 = 8;
 const EVERY: Duration = Duration::from_secs(1);
 
 /// The lines of one device.
-pub(in crate::cli) struct Calm {
+pub(super) struct Calm {
     credit: u32,
     /// The last credit was given then.
     credited: Instant,
@@ -20,7 +20,7 @@ pub(in crate::cli) struct Calm {
 }
 
 impl Calm {
-    pub(in crate::cli) fn new(now: Instant) -> Self {
+    pub(super) fn new(now: Instant) -> Self {
         Self {
             credit: BURST,
             credited: now,
@@ -30,13 +30,13 @@ impl Calm {
     }
 
     /// Takes a line; what is to be told now.
-    pub(in crate::cli) fn take(&mut self, line: String, now: Instant) -> Option<String> {
+    pub(super) fn take(&mut self, line: String, now: Instant) -> Option<String> {
         self.left_out += u64::from(self.held.replace(line).is_some());
         self.due(now)
     }
 
     /// What has waited long enough.
-    pub(in crate::cli) fn due(&mut self, now: Instant) -> Option<String> {
+    pub(super) fn due(&mut self, now: Instant) -> Option<String> {
         while self.credit < BURST && now.duration_since(self.credited) >= EVERY {
             self.credit += 1;
             self.credited += EVERY;
@@ -44,11 +44,17 @@ impl Calm {
         if self.credit == 0 {
             return None;
         }
-        let line = self.held.take()?;
+        let line = self.last()?;
         if self.credit == BURST {
             self.credited = now;
         }
         self.credit -= 1;
+        Some(line)
+    }
+
+    /// What still waits, once nothing more can come.
+    pub(super) fn last(&mut self) -> Option<String> {
+        let line = self.held.take()?;
         Some(match std::mem::take(&mut self.left_out) {
             0 => line,
             count => format!("{line} ({count} lines before this one are left out)"),
@@ -84,5 +90,10 @@ mod tests {
             .filter_map(|k| calm.take(format!("{k}"), at(60_000)))
             .collect();
         assert_eq!(later.len(), 8, "calm again");
+        let at_the_end = calm.last();
+        assert_eq!(
+            at_the_end.as_deref(),
+            Some("9 (1 lines before this one are left out)")
+        );
     }
 }

@@ -61,7 +61,7 @@ impl DriveLog {
         };
         let mut recorder = plan.measure("recording", || DriveRecorder::open(what))?;
         if let Some(lines) = recorder.take_lines() {
-            watch.listen(Box::new(move || lines.try_recv().ok()));
+            watch.listen(1, Box::new(move || Some((0, lines.try_recv().ok()?))));
         }
         Ok(Self {
             recorder: Some(recorder),

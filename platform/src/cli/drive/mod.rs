@@ -7,7 +7,6 @@ mod recorder;
 mod view;
 mod watch;
 
-pub(in crate::cli) use calm::Calm;
 pub(in crate::cli) use log::DriveLog;
 pub(in crate::cli) use progress::Progress;
 pub(in crate::cli) use recorder::{Recorded, Recorder};

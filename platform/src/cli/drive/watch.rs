@@ -1,5 +1,8 @@
 //! Watches a run: counts it, tells the service manager and whoever reads standard error.
 
+use std::time::Instant;
+
+use super::calm::Calm;
 use super::progress::Progress;
 use super::view::ViewFeed;
 use crate::cli::memory_watch::MemoryWatch;
@@ -9,8 +12,31 @@ use crate::runtime::{self, FrameReport, KeyFrameReport, Observer, RunSummary, St
 use crate::sink::recording::RunCounts;
 use crate::statistics::{DriveStatistics, Publication};
 
-/// What a device has to tell, a line at a time.
-pub(in crate::cli) type DeviceEvents = Box<dyn FnMut() -> Option<String>>;
+/// What a device has to tell, a line at a time, and which of its parts tells it.
+pub(in crate::cli) type DeviceEvents = Box<dyn FnMut() -> Option<(usize, String)>>;
+
+/// A device that is listened to.
+struct Device {
+    events: DeviceEvents,
+    /// Of each part its own: one that flaps must not hide what another one tells.
+    calm: Vec<Calm>,
+}
+
+impl Device {
+    /// The next line to be told now.
+    fn next_line(&mut self, now: Instant) -> Option<String> {
+        while let Some((part, line)) = (self.events)() {
+            let told = match self.calm.get_mut(part) {
+                Some(calm) => calm.take(line, now),
+                None => Some(line),
+            };
+            if told.is_some() {
+                return told;
+            }
+        }
+        self.calm.iter_mut().find_map(|calm| calm.due(now))
+    }
+}
 
 /// Counts a run; its memory does not grow with it.
 pub(in crate::cli) struct Watch {
@@ -19,7 +45,7 @@ pub(in crate::cli) struct Watch {
     progress: Progress,
     service: Service,
     memory: Option<MemoryWatch>,
-    devices: Vec<DeviceEvents>,
+    devices: Vec<Device>,
     view: Option<ViewFeed>,
 }
 
@@ -36,9 +62,10 @@ impl Watch {
         }
     }
 
-    /// Passes on what a device tells.
-    pub(in crate::cli) fn listen(&mut self, events: DeviceEvents) {
-        self.devices.push(events);
+    /// Passes on what a device of so many parts tells.
+    pub(in crate::cli) fn listen(&mut self, parts: usize, events: DeviceEvents) {
+        let calm = (0..parts).map(|_| Calm::new(Instant::now())).collect();
+        self.devices.push(Device { events, calm });
     }
 
     /// Shows the run to a monitor.
@@ -56,6 +83,7 @@ impl Watch {
 
     /// The run in numbers, once it is over.
     pub(in crate::cli) fn finish(mut self, summary: &RunSummary) -> (RunCounts, DriveStatistics) {
+        self.tell_last_device_events();
         self.progress.end();
         self.statistics.set_drops(summary.drops);
         let counts = RunCounts {
@@ -75,8 +103,18 @@ impl Watch {
     }
 
     fn tell_device_events(&mut self) {
+        let now = Instant::now();
         for device in 0..self.devices.len() {
-            while let Some(line) = self.devices[device]() {
+            while let Some(line) = self.devices[device].next_line(now) {
+                self.tell(&line);
+            }
+        }
+    }
+
+    fn tell_last_device_events(&mut self) {
+        self.tell_device_events();
+        for device in std::mem::take(&mut self.devices) {
+            for line in device.calm.into_iter().filter_map(|mut calm| calm.last()) {
                 self.tell(&line);
             }
         }

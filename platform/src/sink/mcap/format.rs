@@ -1,7 +1,7 @@
 //! What a recorded drive is made of: topics, their schemas, and the messages that are this program's own.
 //!
-//! Pictures, grid, landmarks, transforms, calibration and log are Foxglove's schemas in protobuf, so that any viewer shows them; what only a
-//! replay needs is JSON with a schema beside it. `log_time` is the capture stamp, of a publication the instant at which it left,
+//! Pictures, grid, landmarks, transforms, calibration and log are Foxglove's schemas in protobuf, so that viewers show them (Rerun
+//! all but the grid); what only a replay needs is JSON with a schema beside it. `log_time` is the capture stamp, of a publication the instant at which it left,
 //! in nanoseconds of the drive's monotonic clock. Numbers are written so that they are read back to the last bit.
 
 use std::borrow::Cow;
