@@ -62,6 +62,8 @@ pub struct KeyFrameTask {
 /// What the frame task learns from a key frame.
 #[derive(Clone, Debug)]
 pub struct Lesson {
+    /// Index of the key frame's frame.
+    pub frame: u64,
     /// Landmarks and the corrected pose.
     pub update: MapUpdate,
     /// Road plane in the key frame's camera space.
@@ -73,6 +75,7 @@ impl Lesson {
     #[must_use]
     pub fn new() -> Box<Self> {
         Box::new(Self {
+            frame: 0,
             update: MapUpdate::default(),
             plane_in_camera: Plane::default(),
         })
@@ -136,6 +139,7 @@ impl KeyFrameTask {
             job.world_from_camera
         };
         let are_priors_fresh = self.see_priors(job, &world_from_camera, &mut watch);
+        lesson.frame = job.frame;
         self.teach(is_map_fresh, lesson);
         let is_network_fresh = self.segment(
             job,

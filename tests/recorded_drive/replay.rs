@@ -1,12 +1,14 @@
 //! From a drive to its replay.
 
+use std::collections::BTreeMap;
+
 use freespace::health::{Faults, QualityLevel};
 use freespace::space::Micros;
 use freespace::stage::Stage;
 use freespace_platform::camera::replay::drive::{DriveFrames, RecordedDrive};
 use freespace_platform::runtime::{
-    FaultKind, FaultModel, FrameReport, Injection, KeyFrameReport, Observer, Setup, Victim, run_in_lockstep,
-    run_modelled, run_recorded,
+    FaultKind, FaultModel, FrameReport, Injection, KeyFrameReport, Observer, RecordedTimes, Setup, Victim,
+    run_in_lockstep, run_modelled, run_recorded,
 };
 use freespace_platform::sink::mcap::{DriveRecorder, Losses, Split};
 use freespace_platform::statistics::Publication;
@@ -24,10 +26,15 @@ type Answer = (Option<u64>, &'static str, Option<(Faults, u64)>);
 struct Log {
     messages: Vec<Vec<u8>>,
     answers: Vec<Answer>,
+    /// Before which frame the lesson of which key frame was learnt.
+    lessons: BTreeMap<u64, u64>,
 }
 
 impl Observer for Log {
-    fn frame(&mut self, _: &FrameReport) {}
+    fn frame(&mut self, report: &FrameReport) {
+        self.lessons
+            .extend(report.learnt.map(|lesson| (report.index, lesson)));
+    }
 
     fn publication(&mut self, publication: &Publication) {
         self.answers.push((
@@ -146,4 +153,30 @@ fn recorded_times_degrade_the_replay_as_the_drive_was() {
         assert_eq!(replays[0].answers, driven.answers, "{name}");
         assert!(replays[0] == replays[1], "{name}");
     }
+}
+
+#[test]
+fn a_lesson_is_learnt_before_the_frame_before_which_the_drive_learnt_it() {
+    let (drive, driven) = record("lessons", |setup, log| {
+        run_in_lockstep(setup, log);
+    });
+    let mut times = drive.times();
+    assert_eq!(times.lessons, driven.lessons);
+    assert!(times.lessons.len() >= 7, "{:?}", times.lessons);
+    let replayed_at = |times: RecordedTimes| {
+        let mut log = Log::default();
+        run_recorded(replayed(&drive, DriveFrames::as_driven(&drive)), times, &mut log);
+        log
+    };
+    let again = replayed_at(times.clone());
+    assert_eq!(again.lessons, driven.lessons);
+    // A thread that slept longer: each lesson comes two frames later, and the drive is another one.
+    times.lessons = (times.lessons.iter())
+        .map(|(frame, lesson)| (frame + 2, *lesson))
+        .filter(|(frame, _)| *frame < 40)
+        .collect();
+    let later = replayed_at(times.clone());
+    assert_eq!(later.lessons, times.lessons);
+    assert!(later.messages != again.messages);
+    assert_eq!(later.messages.len(), again.messages.len());
 }

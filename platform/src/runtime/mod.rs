@@ -55,6 +55,8 @@ pub struct FrameReport {
     pub stamp: Micros,
     /// What became of it.
     pub outcome: FrameOutcome,
+    /// The key frame, by the index of its frame, whose lesson was learnt since the frame before.
+    pub learnt: Option<u64>,
 }
 
 /// One publication, as the observer sees it; its output says when it left, and what it is worth.

@@ -130,6 +130,7 @@ impl Threads {
                 news: frame_news_to,
                 reports: reports_to,
                 teller: frame_teller,
+                learnt_of: None,
             },
             key_frame: KeyFrameThread {
                 task: Some(key_frame_task),

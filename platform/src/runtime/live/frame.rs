@@ -51,6 +51,8 @@ pub(super) struct FrameThread {
     pub(super) news: Producer<FrameNews>,
     pub(super) reports: Producer<FrameReport>,
     pub(super) teller: Teller,
+    /// Learnt since the last report.
+    pub(super) learnt_of: Option<u64>,
 }
 
 impl FrameThread {
@@ -83,6 +85,7 @@ impl FrameThread {
                 index,
                 stamp,
                 outcome,
+                learnt: self.learnt_of.take(),
             };
             if self.reports.push(report).is_err() {
                 Counters::add(&self.shared.counters.unobserved, 1);
@@ -120,6 +123,7 @@ impl FrameThread {
             )
         });
         if let Some(lesson) = lesson {
+            self.learnt_of = Some(lesson.frame);
             // There is room for every lesson.
             let _ = self.learnt.push(lesson);
         }

@@ -14,7 +14,7 @@ use super::super::allocation::{RealTimeScope, outside_scopes};
 use super::super::restart::{Panicked, guarded};
 use super::super::{FrameReport, KeyFrameReport, Observer, RunSummary, WHEEL_LOOKAHEAD_MICROS};
 use super::agenda::{Agenda, Event};
-use super::time::TaskTime;
+use super::time::{Learning, TaskTime};
 use crate::statistics::Publication;
 
 /// When a task is free again; never, where it hangs.
@@ -22,6 +22,9 @@ type FreeAt = Option<Micros>;
 
 /// Boxes of each kind that circulate.
 const BOXES: usize = 8;
+
+/// Lessons that wait at most.
+const TAUGHT: usize = 4;
 
 /// How long a part takes to start anew after a panic.
 const RESTART_MICROS: u64 = 100_000;
@@ -52,6 +55,12 @@ pub(super) struct Engine<'a, N, T> {
     jobs: Vec<Box<KeyFrameJob>>,
     outputs: Vec<Box<KeyFrameOutput>>,
     lessons: Vec<Box<Lesson>>,
+    /// Lessons of a recorded drive that wait for the frame before which they were learnt.
+    taught: Vec<Box<Lesson>>,
+    /// The key frame whose lesson was to be learnt last, there or not yet.
+    awaited: Option<u64>,
+    /// Learnt since the last frame.
+    learnt: Option<u64>,
     now: Micros,
     summary: RunSummary,
 }
@@ -99,6 +108,9 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             jobs: boxes.clone().map(|_| KeyFrameJob::new(width, height)).collect(),
             outputs: boxes.clone().map(|_| KeyFrameOutput::new(config)).collect(),
             lessons: boxes.map(|_| Lesson::new()).collect(),
+            taught: Vec::with_capacity(TAUGHT + 1),
+            awaited: None,
+            learnt: None,
             now: Micros(0),
             summary: RunSummary::default(),
         }
@@ -191,10 +203,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
                     self.jobs.push(displaced);
                 }
             }
-            Event::Lesson(lesson) => {
-                self.frame_task.learn(&lesson);
-                self.lessons.push(lesson);
-            }
+            Event::Lesson(lesson) => self.learn(lesson),
             Event::Answered(job, output) => self.answer(at, job, output, observer),
             Event::Failed(job, cause) => {
                 self.publish_task.fail(job.sequence, cause);
@@ -209,6 +218,10 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             return;
         };
         self.frame_time.begin(at, Some(buffer.index));
+        if let Learning::AsRecorded(Some(key_frame)) = self.frame_time.learning() {
+            self.awaited = Some(key_frame);
+            self.learn_awaited();
+        }
         let stepped = {
             let _scope = RealTimeScope::enter();
             guarded(|| {
@@ -233,6 +246,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
                     index,
                     stamp,
                     outcome,
+                    learnt: self.learnt.take(),
                 });
                 if outcome.is_key_frame {
                     self.job.frame = index;
@@ -250,6 +264,43 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
                 self.agenda.add(done, Event::FramePanicked(blame));
             }
         }
+    }
+
+    fn teach(&mut self, done: Micros, lesson: Box<Lesson>) {
+        if self.frame_time.learning() == Learning::AsItComes {
+            self.agenda.add(done, Event::Lesson(lesson));
+            return;
+        }
+        self.taught.push(lesson);
+        self.learn_awaited();
+        if self.taught.len() > TAUGHT {
+            // It was displaced by a newer one, which holds all that it taught.
+            self.lessons.push(self.taught.remove(0));
+        }
+    }
+
+    /// Learns the lesson that is awaited, where it is there; what is older was displaced by it.
+    fn learn_awaited(&mut self) {
+        while let Some(key_frame) = self.awaited
+            && self
+                .taught
+                .first()
+                .is_some_and(|lesson| lesson.frame <= key_frame)
+        {
+            let lesson = self.taught.remove(0);
+            if lesson.frame == key_frame {
+                self.learn(lesson);
+                self.awaited = None;
+            } else {
+                self.lessons.push(lesson);
+            }
+        }
+    }
+
+    fn learn(&mut self, lesson: Box<Lesson>) {
+        self.frame_task.learn(&lesson);
+        self.learnt = Some(lesson.frame);
+        self.lessons.push(lesson);
     }
 
     fn hand_over(&mut self, done: Micros) {
@@ -288,7 +339,7 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             return;
         };
         if let Ok(Ok(())) = stepped {
-            self.agenda.add(done, Event::Lesson(lesson));
+            self.teach(done, lesson);
             self.agenda.add(done, Event::Answered(job, output));
             return;
         }

@@ -4,8 +4,7 @@
 //! machine. What the clock decided then is decided the same way again: stages that might not start, the quanta after which
 //! refinement stopped, a network that was late or failed, answers that a fallback left in place of. What a job took whose answer
 //! was late nobody recorded: it is worked on in full, and is late.
-//! Known limits: such an answer is what the next fallback moves, also where the drive had given it up; a lesson reaches the frame
-//! task when its key frame's answer left, a few milliseconds from when it did.
+//! Known limit: such an answer is what the next fallback moves, also where the drive had given it up.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -18,7 +17,7 @@ use freespace::segmentation::RoadProbability;
 use freespace::space::Micros;
 use freespace::stage::{Cuts, Stage, StageProbe, StageTimes};
 
-use super::time::TaskTime;
+use super::time::{Learning, TaskTime};
 
 /// What one key frame took, and what the clock decided about it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -44,6 +43,8 @@ pub struct RecordedTimes {
     pub frame_micros: BTreeMap<u64, u64>,
     /// Key frames.
     pub key_frames: BTreeMap<u64, KeyFrameTimes>,
+    /// Before which frame the lesson of which key frame was learnt; empty where nobody noted it.
+    pub lessons: BTreeMap<u64, u64>,
 }
 
 /// After its capture, when an answer comes that a fallback did not wait for: after the fallback, and before the next key frame.
@@ -191,6 +192,14 @@ impl TaskTime for Recorded {
 
     fn stage(&self) -> Option<Stage> {
         self.0.stage.get()
+    }
+
+    fn learning(&self) -> Learning {
+        let lessons = &self.0.drive.lessons;
+        if lessons.is_empty() {
+            return Learning::AsItComes;
+        }
+        Learning::AsRecorded((self.0.frame.get()).and_then(|frame| lessons.get(&frame).copied()))
     }
 }
 

@@ -6,6 +6,15 @@ use freespace::stage::{Stage, StageProbe};
 
 use crate::clock::MonotonicClock;
 
+/// What the frame task learns of the key-frame task before it works on a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Learning {
+    /// Each lesson, when it comes.
+    AsItComes,
+    /// As in the drive that was recorded: the lesson of this key frame, or none.
+    AsRecorded(Option<u64>),
+}
+
 /// The clock that a task reads while it works, and the probe that it reports to.
 pub(super) trait TaskTime: Clock + StageProbe {
     /// The task begins to work, on the frame of that index; none where it works on no frame.
@@ -14,6 +23,10 @@ pub(super) trait TaskTime: Clock + StageProbe {
     fn end(&self, began: Micros) -> Option<Micros>;
     /// The stage that the task was in last.
     fn stage(&self) -> Option<Stage>;
+    /// What the task learns before it works on its frame.
+    fn learning(&self) -> Learning {
+        Learning::AsItComes
+    }
 }
 
 /// Measures the work's real time for the report, and counts it as none.

@@ -135,7 +135,8 @@ const WHEELS_SCHEMA: &str = r#"{"type":"object","description":"front left, front
 "counts":{"type":"array","items":{"type":"integer"}},"direction":{"type":"array","items":{"type":"integer"}},
 "mps":{"type":"array","items":{"type":"number"}}}}"#;
 const FRAME_SCHEMA: &str = r#"{"type":"object","properties":{"frame":{"type":"integer"},"stamp_micros":{"type":"integer"},
-"micros":{"type":"integer"},"is_key_frame":{"type":"boolean"},"tracking":{"type":"string"}}}"#;
+"micros":{"type":"integer"},"is_key_frame":{"type":"boolean"},"tracking":{"type":"string"},
+"learnt":{"type":"integer","description":"the key frame whose map and plane were learnt since the frame before"}}}"#;
 const KEY_FRAME_SCHEMA: &str = r#"{"type":"object","properties":{"frame":{"type":["integer","null"]},
 "stamp_micros":{"type":"integer"},"latency_micros":{"type":"integer"},"level":{"type":"string"},"is_miss":{"type":"boolean"},
 "blame":{"type":["string","null"]},"faults":{"type":"array","items":{"type":"string"}},
@@ -219,6 +220,9 @@ pub struct FrameNote {
     pub is_key_frame: bool,
     /// State of the tracker.
     pub tracking: String,
+    /// The key frame whose lesson was learnt since the frame before.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub learnt: Option<u64>,
 }
 
 impl FrameNote {

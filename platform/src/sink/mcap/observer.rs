@@ -47,6 +47,7 @@ impl NoteTaker {
             micros: report.outcome.micros,
             is_key_frame: report.outcome.is_key_frame,
             tracking: format!("{:?}", estimate.state),
+            learnt: report.learnt,
         };
         self.note(Note::json(Topic::Frame, report.stamp, &note));
     }

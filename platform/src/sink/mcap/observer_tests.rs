@@ -118,6 +118,7 @@ fn show_all(observer: &mut dyn Observer, output: &KeyFrameOutput) {
             is_key_frame: false,
             micros: 1,
         },
+        learnt: None,
     });
     observer.publication(&Publication::of(output));
     observer.key_frame(&KeyFrameReport {

@@ -19,6 +19,9 @@ impl RecordedDrive {
             key_frames: (self.key_frame_notes.iter())
                 .map(|(index, note)| (*index, key_frame_times(note)))
                 .collect(),
+            lessons: (self.frame_notes.iter())
+                .filter_map(|(index, note)| Some((*index, note.learnt?)))
+                .collect(),
         }
     }
 }
