@@ -7,6 +7,7 @@ The package has the version that the module is built with: its files in /dev/shm
 needs no package, and wakes a little faster.
 """
 
+import argparse
 import importlib.metadata
 import sys
 import time
@@ -51,7 +52,10 @@ def make_node():
 
 def open_ports(node, name):
     """What wakes, and what receives; the first one first, so that no message slips between the two."""
-    service = node.service_builder(iceoryx2.ServiceName.new(name))
+    try:
+        service = node.service_builder(iceoryx2.ServiceName.new(name))
+    except iceoryx2.SemanticStringError:
+        sys.exit(f"{name!r} is no name of a service: give the `name` of the module's [shared_memory]")
     listener = service.event().open().listener_builder().create()
     messages = service.publish_subscribe(freespace.Message).open()
     return listener, messages.subscriber_builder().buffer_size(1).history_request(1).create()
@@ -65,7 +69,7 @@ def wait_for_module(node, name):
             code = MEANINGS.get(str(error), freespace.FAILED)
             if code != freespace.NO_MODULE:
                 sys.exit(f"{name}: {freespace.CODES[code]} ({error})")
-        print(f"waiting for a module that publishes {name}", file=sys.stderr)
+        print(f"{name}: {freespace.CODES[freespace.NO_MODULE]}; waiting", file=sys.stderr)
         time.sleep(1.0)
 
 
@@ -96,11 +100,14 @@ def show(message):
 
 
 def main():
-    name = sys.argv[1] if len(sys.argv) > 1 else "freespace/grid"
-    messages = int(sys.argv[2]) if len(sys.argv) > 2 else -1
+    parser = argparse.ArgumentParser(description="Prints what the module publishes.")
+    parser.add_argument("name", nargs="?", default="freespace/grid", help="`name` of the module's [shared_memory]")
+    parser.add_argument("messages", nargs="?", type=int, help="end after so many")
+    arguments = parser.parse_args()
     check_version()
     node = make_node()
-    listener, subscriber = wait_for_module(node, name)
+    listener, subscriber = wait_for_module(node, arguments.name)
+    messages = arguments.messages
     while messages != 0:
         sample = next_sample(listener, subscriber, timeout_s=1.0)
         if sample is None:
@@ -110,7 +117,7 @@ def main():
         if not message.is_layout_known():
             sys.exit("the module publishes another layout: take freespace.py of its version")
         show(message)
-        messages -= 1
+        messages = messages and messages - 1
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ use crate::cli::{Failure, McapArgs, Pace};
 use crate::config::Config;
 use crate::runtime::memory::MemoryPlan;
 use crate::runtime::{Devices, Observer};
-use crate::sink::mcap::{DriveRecorder, Noted, RecordingPlan, Split};
+use crate::sink::mcap::{DriveRecorder, Losses, Noted, RecordingPlan, Split};
 
 /// A drive that is recorded, or is not.
 pub(in crate::cli) struct DriveLog {
@@ -96,15 +96,21 @@ impl DriveLog {
         let path = recorder.path().to_owned();
         let counts = recorder.finish();
         let megabytes = counts.written_bytes as f64 * 1e-6;
+        let losses = Losses {
+            dropped_frames: counts.dropped_frames,
+            dropped_messages: counts.dropped_messages,
+            lost_messages: counts.lost_messages,
+        };
+        let lacks = if losses == Losses::default() {
+            "nothing is missing".to_owned()
+        } else {
+            format!("not recorded: {losses}")
+        };
         crate::cli::terminal::tell(format_args!(
-            "{}: {} frames, {megabytes:.1} MB, {:.1} MB/s; not recorded: {} frames and {} messages, for their queue was full, {} \
-             messages, for the disk was",
+            "{}: {} frames, {megabytes:.1} MB, {:.1} MB/s; {lacks}",
             path.display(),
             counts.frames,
             megabytes / self.begun.elapsed().as_secs_f64().max(1e-3),
-            counts.dropped_frames,
-            counts.dropped_messages,
-            counts.lost_messages
         ));
     }
 }
