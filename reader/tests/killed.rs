@@ -15,8 +15,9 @@ use rustix::process::{Pid, Signal, kill_process};
 
 const READERS: u32 = 100;
 const MAX_READERS: usize = 3;
-/// Messages after which the last dead reader must have been cleared away: it is looked for every two seconds.
-const SETTLING: u32 = 3000;
+/// Messages after which the last dead reader must have been cleared away: it is looked for every two seconds, but what it was
+/// killed over the making of only after a minute.
+const SETTLING: u32 = 16_000;
 /// What may stay of a hundred readers: the allocator's habits.
 const GROWTH_BYTES: i64 = 4 << 20;
 

@@ -24,7 +24,7 @@ use super::{SharingConfig, SharingError, leftovers};
 /// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
 const SPARE_NODES: usize = 4;
 
-/// A node that has no monitor after this time never will: it takes milliseconds.
+/// What is not whole after this time never will be: it takes milliseconds.
 const IN_THE_MAKING: Duration = Duration::from_secs(60);
 
 pub(super) struct Writer {
@@ -97,5 +97,6 @@ impl Writer {
     pub(super) fn tidy(&self) {
         let _ = self.node.try_cleanup_dead_nodes();
         leftovers::sweep(Path::new(service::NODES), IN_THE_MAKING);
+        leftovers::sweep_listeners(Path::new(service::FOLDER), Path::new("/dev/shm"), IN_THE_MAKING);
     }
 }
