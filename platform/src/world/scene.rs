@@ -28,6 +28,10 @@ pub(super) struct Object {
     pub(super) count: usize,
 }
 
+/// Half length and half width of the place that a car on the verge takes, up to [`CAR_TOP_M`].
+const CAR_PLACE_M: [f32; 2] = [2.8, 1.0];
+const CAR_TOP_M: f32 = 2.3;
+
 /// Where a builder puts things: a world position, heading, and the list of parts.
 #[derive(Debug, Default, Clone)]
 pub(super) struct Scene {
@@ -80,6 +84,21 @@ impl Scene {
             first,
             count: parts.len(),
         });
+    }
+
+    /// Takes away what stands where a car is to stand: at `[x, y]`, pointing along `heading`.
+    fn make_room_for_car(&mut self, [x, y]: [f32; 2], heading: f32) {
+        let (sin, cos) = heading.sin_cos();
+        let is_in_place = |part: &Part| {
+            // What is long lies along the road, as the car does.
+            let [half_along, half_across] = part.half_extent();
+            let (east, north) = (part.base[0] - x, part.base[1] - y);
+            let along = (east * cos + north * sin).abs() - half_along;
+            let across = (north * cos - east * sin).abs() - half_across;
+            part.base[2] < CAR_TOP_M && along < CAR_PLACE_M[0] && across < CAR_PLACE_M[1]
+        };
+        let parts = &self.parts;
+        (self.objects).retain(|o| !parts[o.first..o.first + o.count].iter().any(is_in_place));
     }
 
     /// The objects between two places along the road.
@@ -261,7 +280,11 @@ impl Row<'_> {
             let (x, y, heading) = self.place(s, inside);
             let back = random.chance(0.2);
             let yaw = heading + random.range(-0.04, 0.04) + if back { std::f32::consts::PI } else { 0.0 };
-            let floor = if inside > 0.0 { style.kerb_m } else { 0.0 };
+            let is_on_verge = inside > 0.0;
+            if is_on_verge {
+                scene.make_room_for_car([x, y], heading);
+            }
+            let floor = if is_on_verge { style.kerb_m } else { 0.0 };
             scene.add(s, |parts| car(parts, random, [x, y, floor], yaw));
         });
     }
