@@ -181,13 +181,15 @@ impl Part {
             .calculate_data_section_crc(false)
             .library(concat!("freespace ", env!("CARGO_PKG_VERSION")))
             .create(counted)?;
+        // The one date in the file: all other times are the drive's own, monotonic.
+        let begun_unix_nanos = preamble::unix_nanos();
         for (name, media_type, data) in [
             (preamble::DRIVE, "application/json", &head.drive[..]),
             (preamble::CONFIG, "application/toml", head.config.as_bytes()),
         ] {
             writer.attach(&Attachment {
                 log_time: 0,
-                create_time: 0,
+                create_time: begun_unix_nanos,
                 name: name.to_owned(),
                 media_type: media_type.to_owned(),
                 data: data.into(),

@@ -1,7 +1,8 @@
 //! What stands at the head of every part of a recorded drive: with it, each part replays by itself.
 //!
 //! Two attachments: `drive.json` (cadence, camera as it was calibrated, where the configuration lay) and `config.toml`, the
-//! configuration as it was written. The camera is written out, for its lens may have come from a file of the drive.
+//! configuration as it was written. The camera is written out, for its lens may have come from a file of the drive. When they were
+//! attached, their `create_time`, is the only date in a part: log times are of the drive's clock, which viewers show from 1970 on.
 
 use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::path::{Path, PathBuf};
@@ -87,12 +88,20 @@ impl DriveNote {
     }
 }
 
-/// When it was made, and a number of its own for what was made at the same time. Nothing is computed from it.
+/// The computer's date, nanoseconds since 1970. Nothing is computed from it.
+#[expect(clippy::cast_possible_truncation, reason = "until the year 2554")]
+pub(super) fn unix_nanos() -> u64 {
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default()
+        .as_nanos() as u64
+}
+
+/// When it was made, and a number of its own for what was made at the same time.
 fn fresh_id() -> String {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     // Keyed by the system's random numbers.
     let random = RandomState::new().build_hasher().finish();
-    format!("{}-{random:016x}", since.as_micros())
+    format!("{}-{random:016x}", unix_nanos() / 1_000)
 }
 
 fn camera_json(camera: &Camera) -> Value {
