@@ -4,6 +4,7 @@
     FREESPACE_READER_LIBRARY=target/release/libfreespace_reader.so PYTHONPATH=include python3 reader/examples/read.py [NAME [MESSAGES]]
 """
 
+import argparse
 import sys
 import time
 
@@ -32,17 +33,23 @@ def show(message):
 
 
 def main():
-    name = sys.argv[1] if len(sys.argv) > 1 else "freespace/grid"
-    messages = int(sys.argv[2]) if len(sys.argv) > 2 else -1
-    with open_reader(name) as reader:
+    parser = argparse.ArgumentParser(description="Prints what the module publishes.")
+    parser.add_argument("name", nargs="?", default="freespace/grid", help="`name` of the module's [shared_memory]")
+    parser.add_argument("messages", nargs="?", type=int, help="end after so many")
+    arguments = parser.parse_args()
+    messages = arguments.messages
+    with open_reader(arguments.name) as reader:
         while messages != 0:
             message = reader.next(timeout_s=1.0)
             if message is None:
                 print("no message for 1 s: nothing is known to be free")
                 continue
             show(message)
-            messages -= 1
+            messages = messages and messages - 1
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)

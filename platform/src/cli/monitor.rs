@@ -20,6 +20,8 @@ use crate::runtime::supervision::stop_on_signals;
 
 /// How long `--once` waits for a message: several key frames.
 const ONCE_WAIT: Duration = Duration::from_secs(5);
+/// After how long it says that it waits.
+const ONCE_SILENT: Duration = Duration::from_millis(700);
 /// How long it waits, then, for a view: it comes with the next key frame.
 const VIEW_WAIT: Duration = Duration::from_millis(1200);
 /// Between two looks at the state.
@@ -99,7 +101,16 @@ fn serve(address: SocketAddr, state: &Shared) -> Result<Server, Failure> {
 
 /// Prints one snapshot.
 fn once(args: &MonitorArgs, state: &Shared, stop: &AtomicBool) -> Result<(), Failure> {
-    let is_seen = wait(ONCE_WAIT, stop, || lock(state).messages() > 0);
+    let has_message = || lock(state).messages() > 0;
+    let mut is_seen = wait(ONCE_SILENT, stop, has_message);
+    if !is_seen && !stop.load(Ordering::Relaxed) {
+        eprintln!(
+            "freespace monitor: waiting for a message of {}, {} s at most",
+            args.name,
+            ONCE_WAIT.as_secs()
+        );
+        is_seen = wait(ONCE_WAIT.saturating_sub(ONCE_SILENT), stop, has_message);
+    }
     if is_seen {
         wait(VIEW_WAIT, stop, || lock(state).has_view());
     }
