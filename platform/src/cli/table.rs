@@ -17,14 +17,19 @@ pub(super) fn print(report: &Report, engine: &str, out: Option<&Path>, as_json: 
     if report.is_cut_short {
         line("cut short", "a signal ended the drive".to_owned());
     }
-    let met = report.key_frames - report.deadline_misses;
-    line("deadlines met", format!("{met} of {}", report.key_frames));
     if let Some(latency) = report.capture_to_publish_ms {
+        let met = report.key_frames - report.deadline_misses;
+        line("deadlines met", format!("{met} of {}", report.key_frames));
         let text = format!(
             "p50 {:.0}  p99 {:.0}  p99.9 {:.0}  max {:.0} ms",
             latency.p50, latency.p99, latency.p99_9, latency.max
         );
         line("capture to publish", text);
+    } else if report.key_frames > 0 {
+        let text = format!("{}, as fast as it goes: no deadline applies", report.key_frames);
+        line("key frames", text);
+    } else {
+        line("key frames", "none".to_owned());
     }
     if let Some(frame) = report.frame_ms {
         let text = format!(

@@ -38,7 +38,7 @@ pub struct Publication {
     pub times: StageTimes,
     /// Where the clock cut the work short.
     pub cuts: Cuts,
-    /// From capture to publication.
+    /// From capture to publication; 0 where the frames' clock stood still meanwhile, in a replay as fast as it goes.
     pub latency_micros: u64,
     /// Whether the wanted level was not out by the deadline.
     pub is_miss: bool,
@@ -145,7 +145,9 @@ impl DriveStatistics {
     /// A key frame's answer, fallbacks among them, was published.
     pub fn publication(&mut self, publication: &Publication) {
         add(&mut self.key_frames);
-        self.capture_to_publish.record(publication.latency_micros);
+        if publication.latency_micros > 0 {
+            self.capture_to_publish.record(publication.latency_micros);
+        }
         add(&mut self.levels[publication.level as usize]);
         add(&mut self.scale[publication.scale as usize]);
         if publication.is_miss {

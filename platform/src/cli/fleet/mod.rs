@@ -61,11 +61,12 @@ pub(super) fn drives(args: &DrivesArgs) -> Result<(), Failure> {
         let heading = format!("{} of {of}: {}", done + 1, drive.name);
         match evaluate(args, index, drive) {
             Ok(score) => {
-                let (met, all) = (
-                    score.counts.key_frames - score.counts.deadline_misses,
-                    score.counts.key_frames,
-                );
-                terminal::tell(format_args!("{heading}: deadlines met {met} of {all}"));
+                let counts = &score.counts;
+                let (met, of) = (counts.deadlines_met(), counts.timed_key_frames);
+                let all = counts.key_frames;
+                terminal::tell(format_args!(
+                    "{heading}: {all} key frames, deadlines met {met} of {of}"
+                ));
                 part.drives.push(score);
             }
             Err(failure) if args.keep_going => {

@@ -38,12 +38,10 @@ fn totals(text: &mut String, fleet: &Fleet) {
         "driven",
         format!("{:.3} km in {:.3} h", ratios.driven_km, ratios.driven_hours),
     );
-    let met = counts.key_frames - counts.deadline_misses;
+    line("key frames", counts.key_frames.to_string());
+    let (met, of) = (counts.deadlines_met(), counts.timed_key_frames);
     let share = percent(ratios.deadlines_met);
-    line(
-        "deadlines met",
-        format!("{met} of {} ({share})", counts.key_frames),
-    );
+    line("deadlines met", format!("{met} of {of} ({share})"));
     if !counts.misses_by_stage.is_empty() {
         let named = counts
             .misses_by_stage

@@ -36,6 +36,7 @@ pub fn as_driven(mut score: DriveScore, drive: &RecordedDrive) -> DriveScore {
         (drive.frame_notes.values().enumerate()).filter(|(place, note)| *place == 0 || note.is_tracked());
     let counts = &mut score.counts;
     counts.key_frames = key_frames;
+    counts.timed_key_frames = key_frames;
     counts.deadline_misses = misses;
     counts.misses_by_stage = misses_by_stage;
     counts.levels = levels;

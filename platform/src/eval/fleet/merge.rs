@@ -78,10 +78,9 @@ impl Ratios {
         // Sums of counts that fit 64 bits each.
         let sum = |parts: &[u64]| parts.iter().map(|part| u128::from(*part)).sum::<u128>();
         let share = |part: u64, rest: &[u64]| ratio(part.into(), u128::from(part) + sum(rest));
-        let met = counts.key_frames.saturating_sub(counts.deadline_misses);
         let twice = 2 * u128::from(road.hits);
         Self {
-            deadlines_met: ratio(met.into(), counts.key_frames.into()),
+            deadlines_met: ratio(counts.deadlines_met().into(), counts.timed_key_frames.into()),
             driven_km: ratio(counts.driven_mm.into(), 1_000_000).unwrap_or_default(),
             driven_hours: ratio(counts.driven_micros.into(), 3_600_000_000).unwrap_or_default(),
             road_precision: share(road.hits, &[road.false_alarms]),

@@ -18,7 +18,9 @@ pub(super) type Named = BTreeMap<String, u64>;
 pub struct Tally {
     /// Key frames that were answered.
     pub key_frames: u64,
-    /// Of them, those whose answer was late or below the wanted level.
+    /// Of them, those that had a deadline: not where frames went as fast as they were worked off.
+    pub timed_key_frames: u64,
+    /// Of those, the ones whose answer was late or below the wanted level.
     pub deadline_misses: u64,
     /// Misses by what they are blamed on.
     pub misses_by_stage: Named,
@@ -143,11 +145,18 @@ fn named_sums(sums: &mut Named, counts: &Named) -> Option<()> {
 }
 
 impl Tally {
+    /// Key frames that were answered by their deadline.
+    #[must_use]
+    pub const fn deadlines_met(&self) -> u64 {
+        self.timed_key_frames.saturating_sub(self.deadline_misses)
+    }
+
     /// The counts of both; none where a sum does not fit 64 bits.
     #[must_use]
     pub fn plus(mut self, other: &Self) -> Option<Self> {
         sums([
             (&mut self.key_frames, other.key_frames),
+            (&mut self.timed_key_frames, other.timed_key_frames),
             (&mut self.deadline_misses, other.deadline_misses),
             (&mut self.frames, other.frames),
             (&mut self.tracked_frames, other.tracked_frames),

@@ -35,6 +35,7 @@ fn drive(index: usize, seed: u64) -> DriveScore {
         network_sha256: (!index.is_multiple_of(3)).then(|| "aa".to_owned()),
         counts: Tally {
             key_frames,
+            timed_key_frames: key_frames,
             deadline_misses: misses,
             misses_by_stage: named(["map", "crf", "camera"][index % 3], misses),
             levels: named(["full", "moved"][index % 2], key_frames),
@@ -332,8 +333,14 @@ fn a_run_of_another_version_is_told_by_file_and_line() {
     assert!(error.message().contains("do not fit together"), "{error}");
     fs::write(folder.path().join("trajectory.kitti"), "").unwrap();
     fs::write(folder.path().join("trajectory.tum"), "# none\n").unwrap();
+    let untimed = score(&report.replace(r#"7, "bins": {"7": 1}"#, r#"0, "bins": {}"#)).unwrap();
+    assert_eq!(
+        (untimed.counts.key_frames, untimed.counts.timed_key_frames),
+        (2, 0)
+    );
     let score = score(&report.replace(r#""7": 1"#, r#""7": 2"#)).unwrap();
     assert_eq!((score.counts.driven_mm, score.counts.driven_micros), (0, 0));
+    assert_eq!(score.counts.timed_key_frames, 2);
     fs::write(
         folder.path().join("trajectory.tum"),
         "# t\n1.500000 0 0\n62.000001 0 0\n",

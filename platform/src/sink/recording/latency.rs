@@ -63,20 +63,24 @@ struct Area {
 pub(super) fn draw(statistics: &DriveStatistics, deadline_ms: f64, pixels: &mut Vec<u8>) -> (usize, usize) {
     let mut canvas = Canvas::filled(pixels, WIDTH, HEIGHT, PANEL);
     canvas.text((40.0, 42.0), Anchor::Left, HEADING, "capture to publish", INK);
-    let said = format!(
-        "{} key frames, {} misses",
-        statistics.key_frames(),
-        statistics.misses()
-    );
-    let colour = if statistics.misses() == 0 { DIM } else { LATE };
-    canvas.text((1160.0, 42.0), Anchor::Right, TEXT, &said, colour);
+    let middle = (0.5 * (PLOT.left + PLOT.right), 0.5 * (PLOT.top + PLOT.bottom));
     if let Some(times) = statistics.capture_to_publish().percentiles() {
+        let said = format!(
+            "{} key frames, {} misses",
+            statistics.key_frames(),
+            statistics.misses()
+        );
+        let colour = if statistics.misses() == 0 { DIM } else { LATE };
+        canvas.text((1160.0, 42.0), Anchor::Right, TEXT, &said, colour);
         let axis = LogAxis::around(statistics, times.max, deadline_ms);
         histogram(&mut canvas, statistics, deadline_ms, &axis);
         marks(&mut canvas, &times, deadline_ms, &axis);
         stages(&mut canvas, statistics);
+    } else if statistics.key_frames() > 0 {
+        let said = "as fast as it goes: no deadline applies";
+        canvas.text(middle, Anchor::Middle, TEXT, said, DIM);
+        stages(&mut canvas, statistics);
     } else {
-        let middle = (0.5 * WIDTH as f64, 0.5 * HEIGHT as f64);
         canvas.text(middle, Anchor::Middle, TEXT, "no key frame was published", DIM);
     }
     (WIDTH, HEIGHT)

@@ -172,15 +172,15 @@ fn script_json(value: &impl serde::Serialize) -> String {
 
 fn cards(report: &Report) -> String {
     let mut out = String::new();
-    let misses = report.deadline_misses;
     card(&mut out, "key frames", &report.key_frames.to_string(), "");
-    card(
-        &mut out,
-        "deadline misses",
-        &misses.to_string(),
-        if misses == 0 { "good" } else { "bad" },
-    );
     if let Some(latency) = report.capture_to_publish_ms {
+        let misses = report.deadline_misses;
+        card(
+            &mut out,
+            "deadline misses",
+            &misses.to_string(),
+            if misses == 0 { "good" } else { "bad" },
+        );
         card(
             &mut out,
             "capture to publish, median",

@@ -7,7 +7,7 @@
     reason = "pixel arithmetic: coordinates are bounded by the image"
 )]
 
-use super::canvas::{Anchor, Canvas, Colour, mixed};
+use super::canvas::{Anchor, Canvas, Colour, mixed, text_width};
 use crate::eval::grid::{FREE_BELOW, GridLayout};
 
 /// A frame, one byte a pixel or three, row-major.
@@ -161,10 +161,10 @@ fn cell_colour(value: i8) -> Colour {
 const SCALE_M: f64 = 10.0;
 const SCALE_MARGIN_PX: f64 = 10.0;
 
-/// A bar of [`SCALE_M`] in the lower left corner, its length above it; nothing where it does not fit.
-fn draw_scale(canvas: &mut Canvas<'_>, px_per_m: f64) {
+/// A bar of [`SCALE_M`] in the lower left corner of a view of that height, its length above it; nothing where it does not fit.
+fn draw_scale(canvas: &mut Canvas<'_>, px_per_m: f64, height: usize) {
     let length = (SCALE_M * px_per_m).round();
-    let (left, bottom) = (SCALE_MARGIN_PX, canvas.height as f64 - SCALE_MARGIN_PX);
+    let (left, bottom) = (SCALE_MARGIN_PX, height as f64 - SCALE_MARGIN_PX);
     let right = left + length;
     if right + SCALE_MARGIN_PX > canvas.width as f64 || bottom < 40.0 {
         return;
@@ -183,8 +183,47 @@ fn draw_scale(canvas: &mut Canvas<'_>, px_per_m: f64) {
     );
 }
 
-/// Draws the grid seen from above into `out`, ahead up and left to the left, with rings each 10 m, a scale bar and the car;
-/// gives width and height.
+/// Height of the strip below the grid that says what the colours mean.
+const LEGEND_PX: usize = 24;
+/// Between a swatch and its name.
+const SWATCH_GAP_PX: f64 = 5.0;
+
+/// What the colours of the cells say, along the lower edge, in letters as large as there is room for.
+fn draw_legend(canvas: &mut Canvas<'_>) {
+    let entries = [("free", 0), ("occupied", 100), ("unknown", -1)];
+    let entry_width = |name, size: f64| 7.0 * size + SWATCH_GAP_PX + text_width(name, size);
+    let total = |size| -> f64 { entries.iter().map(|(name, _)| entry_width(name, size)).sum() };
+    let room = canvas.width as f64;
+    let Some(size) = [2_usize, 1]
+        .into_iter()
+        .find(|size| total(*size as f64) + 32.0 <= room)
+    else {
+        return;
+    };
+    let gap = (room - total(size as f64)) / (entries.len() + 1) as f64;
+    let side = 7.0 * size as f64;
+    let bottom = canvas.height as f64 - 0.5 * (LEGEND_PX as f64 - side);
+    let mut left = gap;
+    for (name, value) in entries {
+        canvas.rectangle(
+            (left, bottom - side),
+            (left + side, bottom),
+            cell_colour(value),
+            8,
+        );
+        canvas.text(
+            (left + side + SWATCH_GAP_PX, bottom),
+            Anchor::Left,
+            size,
+            name,
+            RING,
+        );
+        left += entry_width(name, size as f64) + gap;
+    }
+}
+
+/// Draws the grid seen from above into `out`, ahead up and left to the left, with rings each 10 m, a scale bar, a legend and the
+/// car; gives width and height.
 pub(crate) fn birdseye(layout: &GridLayout, cells: &[i8], out: &mut Vec<u8>) -> (usize, usize) {
     let [near_m, right_m] = layout.origin_in_vehicle_m;
     let cell_px = (VIEW_HEIGHT_PX / layout.rows.max(1)).max(1);
@@ -193,7 +232,7 @@ pub(crate) fn birdseye(layout: &GridLayout, cells: &[i8], out: &mut Vec<u8>) -> 
         .clamp(0.0, VIEW_HEIGHT_PX as f64)
         .round() as usize;
     let (width, height) = (layout.columns * cell_px, layout.rows * cell_px + below);
-    let mut canvas = Canvas::filled(out, width, height, OUTSIDE);
+    let mut canvas = Canvas::filled(out, width, height + LEGEND_PX, OUTSIDE);
     draw_cells(&mut canvas, layout, cells, cell_px);
     let grid_bottom = (layout.rows * cell_px) as f64;
     let place = |ahead_m: f64, left_m: f64| {
@@ -209,7 +248,8 @@ pub(crate) fn birdseye(layout: &GridLayout, cells: &[i8], out: &mut Vec<u8>) -> 
             canvas.set(x, y, RING, 3);
         }
     }
-    draw_scale(&mut canvas, px_per_m);
+    draw_scale(&mut canvas, px_per_m, height);
+    draw_legend(&mut canvas);
     let (rear, front, half) = CAR_M;
     let (x0, y0) = place(front, half);
     let (x1, y1) = place(rear, -half);
@@ -218,7 +258,7 @@ pub(crate) fn birdseye(layout: &GridLayout, cells: &[i8], out: &mut Vec<u8>) -> 
             canvas.set(x as f64, y as f64, CAR, 6);
         }
     }
-    (width, height)
+    (width, height + LEGEND_PX)
 }
 
 fn draw_cells(canvas: &mut Canvas<'_>, layout: &GridLayout, cells: &[i8], cell_px: usize) {

@@ -60,7 +60,7 @@ pub struct Report {
     pub frames: u64,
     /// Heap allocations after start.
     pub allocations_after_start: Option<u64>,
-    /// Time from capture to publication; null without key frames.
+    /// Time from capture to publication; null without key frames, and where frames went as fast as they were worked off.
     pub capture_to_publish_ms: Option<Percentiles>,
     /// The same times as counts, which add up over drives.
     pub capture_to_publish: LatencyCounts,
