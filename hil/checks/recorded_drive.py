@@ -15,6 +15,8 @@ import struct
 import sys
 from collections import Counter
 
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import best_match
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -47,9 +49,10 @@ def check_cloud(cloud) -> None:
 
 
 def check_own(schema, data: bytes) -> None:
-    properties = json.loads(schema.data)["properties"]
-    unknown = set(json.loads(data)) - set(properties)
-    assert not unknown, f"{schema.name} holds {unknown}, which its schema does not"
+    # Nothing may be in a message of which its schema does not speak.
+    strict = {**json.loads(schema.data), "additionalProperties": False}
+    fault = best_match(Draft202012Validator(strict).iter_errors(json.loads(data)))
+    assert fault is None, f"{schema.name}: {fault.json_path}: {fault.message}"
 
 
 def main() -> int:

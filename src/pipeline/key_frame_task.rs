@@ -116,7 +116,8 @@ impl KeyFrameTask {
     /// Takes a job to its output. Whatever goes wrong, `output` holds a valid grid afterwards, and says how good it is.
     ///
     /// # Errors
-    /// Whom to blame where it is too late for a grid: the publisher's fallback answers.
+    /// Whom to blame where it is too late for a grid: the publisher's fallback answers. Times and cuts of `output` are then
+    /// those of the work that was done.
     pub fn step(
         &mut self,
         job: &KeyFrameJob,
@@ -150,6 +151,8 @@ impl KeyFrameTask {
         );
         let is_solved = self.label(&mut watch, output);
         if !watch.start(Stage::Grid) {
+            output.times = watch.times;
+            output.cuts = watch.cuts();
             return Err(self.blame(&watch.times, QualityLevel::Moved, Stage::Grid));
         }
         self.draw_grid(job, &world_from_camera, output);

@@ -41,15 +41,19 @@ impl<'a, C: Clock, P: StageProbe> Stopwatch<'a, C, P> {
 
     /// Enters a stage; false where it fails.
     pub(super) fn enter(&mut self, stage: Stage) -> bool {
-        let is_sound = self.probe.enter(stage);
         self.quanta.set(0);
         self.begin = self.clock.now();
-        is_sound
+        self.probe.enter(stage)
     }
 
     /// Enters a stage; whether it may run: it does not fail, and there is time for it.
     pub(super) fn start(&mut self, stage: Stage) -> bool {
-        self.enter(stage) && self.has_time_for(stage)
+        let may_run = self.enter(stage) && self.has_time_for(stage);
+        if !may_run {
+            // What it took to find out is its own: one that stalled before it began is to blame for what it kept from its turn.
+            self.end(stage);
+        }
+        may_run
     }
 
     /// Whether a stage may still start.

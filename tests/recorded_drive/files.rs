@@ -11,7 +11,7 @@ use freespace::port::{CameraAnswer, CameraPort, FrameBuffer};
 use freespace::space::Micros;
 use freespace_platform::camera::replay::drive::{DriveFrames, RecordedDrive};
 use freespace_platform::runtime::{Event, FrameReport, KeyFrameReport, Observer, Trace};
-use freespace_platform::sink::mcap::{DriveRecorder, Losses, Medium, Split, part_path};
+use freespace_platform::sink::mcap::{DriveRecorder, Medium, Split, part_path};
 
 use crate::rig::{self, Patient};
 use crate::simulated::{self, Triangle};
@@ -102,6 +102,32 @@ fn a_recording_is_split_and_read_as_one() {
     // A part replays by itself.
     let second = read(&RecordedDrive::open(&part_path(&path, 1)).unwrap());
     assert!(frames.windows(second.len()).any(|some| some == second));
+}
+
+#[test]
+fn a_part_that_is_missing_is_told_by_name() {
+    let path = rig::path("gap");
+    let split = Split {
+        bytes: Some(2_000_000),
+        after: None,
+    };
+    let frames = record(&path, split, 5.0);
+    assert!(part_path(&path, 2).is_file());
+    std::fs::remove_file(part_path(&path, 1)).unwrap();
+    let fault = RecordedDrive::open(&path).unwrap_err();
+    assert!(
+        fault.message().contains("drive.001.mcap: is missing"),
+        "{}",
+        fault.message()
+    );
+    // The parts before it are a drive of their own once the later ones lie elsewhere.
+    for part in 2.. {
+        if std::fs::remove_file(part_path(&path, part)).is_err() {
+            break;
+        }
+    }
+    let rest = read(&RecordedDrive::open(&path).unwrap());
+    assert!(!rest.is_empty() && rest == frames[..rest.len()]);
 }
 
 #[test]
@@ -240,6 +266,9 @@ fn a_full_disk_is_told_and_the_drive_goes_on() {
     let drive = RecordedDrive::open(&path).unwrap();
     let read = read(&drive);
     assert!(!read.is_empty() && read == given[..read.len()]);
+    // What the chunk held that did not leave is lost, too.
+    assert_eq!(counts.frames, read.len() as u64);
+    assert_eq!(counts.frames + counts.lost_messages, 80);
 }
 
 #[test]
@@ -303,14 +332,8 @@ fn a_drive_whose_notes_were_dropped_says_so_and_is_not_taken_for_whole() {
     }
     let counts = recorder.finish();
     let drive = RecordedDrive::open(&path).unwrap();
-    assert_eq!(
-        drive.losses,
-        Some(Losses {
-            dropped_frames: counts.dropped_frames,
-            dropped_messages: counts.dropped_messages,
-            lost_messages: 0,
-        })
-    );
+    assert_eq!(drive.losses, Some(counts.losses()));
+    assert_eq!(counts.lost_messages, 0);
     let fault = drive.check_notes().unwrap_err();
     assert!(
         fault.message().contains("drive.mcap: while it was recorded"),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use freespace::health::{Faults, QualityLevel};
+use freespace::health::{Blame, Faults, QualityLevel};
 use freespace::space::Micros;
 use freespace::stage::Stage;
 use freespace_platform::camera::replay::drive::{DriveFrames, RecordedDrive};
@@ -26,6 +26,8 @@ type Answer = (Option<u64>, &'static str, Option<(Faults, u64)>);
 struct Log {
     messages: Vec<Vec<u8>>,
     answers: Vec<Answer>,
+    /// Cells of each answer, and whom it blames.
+    grids: Vec<(Vec<i8>, Option<Blame>)>,
     /// Before which frame the lesson of which key frame was learnt.
     lessons: BTreeMap<u64, u64>,
 }
@@ -47,6 +49,7 @@ impl Observer for Log {
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
         let output = report.output;
+        self.grids.push((output.grid.occupancy.to_vec(), output.blame));
         self.messages.push(output.message[..output.message_len].to_vec());
     }
 }
@@ -112,6 +115,7 @@ fn frames_come_back_to_the_last_bit() {
 
 #[test]
 fn recorded_times_degrade_the_replay_as_the_drive_was() {
+    let mut late = 0;
     for (name, victim, kind) in [
         ("slow_map", Victim::Stage(Stage::Map), FaultKind::Slow),
         ("slow_cut", Victim::Stage(Stage::Crf), FaultKind::Slow),
@@ -151,8 +155,15 @@ fn recorded_times_degrade_the_replay_as_the_drive_was() {
             run_recorded(setup, drive.times(), log);
         }
         assert_eq!(replays[0].answers, driven.answers, "{name}");
+        // Fallbacks among them, and what builds on work that was given up or late.
+        assert!(replays[0].grids == driven.grids, "{name}");
+        late += drive.late_work_notes.len();
         assert!(replays[0] == replays[1], "{name}");
     }
+    assert!(
+        late > 3,
+        "{late} key frames whose answer a fallback did not wait for"
+    );
 }
 
 #[test]

@@ -21,10 +21,12 @@ pub use network::{InlineNetwork, ThreadedNetwork};
 pub use restart::hush_real_time_panics;
 pub use trace::{Event, Trace};
 
+use freespace::health::Faults;
 use freespace::pipeline::{FrameOutcome, KeyFrameJob, KeyFrameOutput, PipelineConfig};
 use freespace::port::{CameraPort, SinkPort, WheelPort};
 use freespace::segmentation::TileConfig;
 use freespace::space::Micros;
+use freespace::stage::{Cuts, StageTimes};
 
 use crate::clock::MonotonicClock;
 use crate::segmenter::Segmenter;
@@ -57,6 +59,37 @@ pub struct FrameReport {
     pub outcome: FrameOutcome,
     /// The key frame, by the index of its frame, whose lesson was learnt since the frame before.
     pub learnt: Option<u64>,
+}
+
+/// Work on a key frame that a fallback answered: it changed what later key frames build on, so a replay does it again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LateWork {
+    /// Number of the frame in its source.
+    pub frame: u64,
+    /// Capture stamp.
+    pub stamp: Micros,
+    /// From the capture until the publisher heard of it.
+    pub micros: u64,
+    /// Time of each stage.
+    pub times: StageTimes,
+    /// Where the clock cut the work short; one that was given up might not start *grid*.
+    pub cuts: Cuts,
+    /// Its faults; those of the network count.
+    pub faults: Faults,
+}
+
+impl LateWork {
+    /// Of an output as the work left it, heard of at `now`.
+    fn of(job: &KeyFrameJob, output: &KeyFrameOutput, now: Micros) -> Self {
+        Self {
+            frame: job.frame,
+            stamp: job.stamp,
+            micros: now.since(job.stamp),
+            times: output.times,
+            cuts: output.cuts,
+            faults: output.faults,
+        }
+    }
 }
 
 /// One publication, as the observer sees it; its output says when it left, and what it is worth.
@@ -100,6 +133,10 @@ pub trait Observer {
     /// A key frame was published; comes for every one of them.
     fn publication(&mut self, publication: &Publication) {
         let _ = publication;
+    }
+    /// A key frame was worked on that a fallback answered.
+    fn late_work(&mut self, work: &LateWork) {
+        let _ = work;
     }
     /// What was published; may be left out where the observer is slow.
     fn key_frame(&mut self, report: &KeyFrameReport<'_>);

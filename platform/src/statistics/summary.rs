@@ -22,6 +22,8 @@ pub struct Drops {
     pub hand_over: Option<u64>,
     /// Publications and frames that the observer was too slow to see: neither recorded nor measured against truth.
     pub unobserved: Option<u64>,
+    /// Of them, those of which not even the numbers were seen: a recording lacks them, and knows it.
+    pub unreported: Option<u64>,
     /// Instants of the cadence that nothing answered, for the publisher itself did not run.
     pub unanswered: Option<u64>,
     /// Answers and announcements that came after their fallback had left.
@@ -62,6 +64,12 @@ impl Serialize for Counts {
 }
 
 impl DriveStatistics {
+    /// Whether there are latencies and deadlines.
+    #[must_use]
+    pub const fn is_timed(&self) -> bool {
+        self.is_timed
+    }
+
     /// Publications.
     #[must_use]
     pub const fn key_frames(&self) -> u64 {

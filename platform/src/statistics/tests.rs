@@ -95,6 +95,7 @@ fn the_status_is_one_line() {
         camera: Some(2),
         hand_over: None,
         unobserved: Some(1),
+        unreported: Some(0),
         unanswered: Some(0),
         late: Some(3),
         rejected_views: None,

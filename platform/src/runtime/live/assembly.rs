@@ -75,6 +75,7 @@ impl Threads {
         let (key_frame_news_to, key_frame_news) = RingBuffer::new(NEWS);
         let (reports_to, reports) = RingBuffer::new(FRAME_REPORTS);
         let (publications_to, publications) = RingBuffer::new(PUBLICATIONS);
+        let (late_to, late) = RingBuffer::new(PUBLICATIONS);
         let (seen_to, seen) = RingBuffer::new(LENT);
         let (seen_back_to, seen_back) = RingBuffer::new(LENT);
         let (camera_teller, camera_traces) = traces();
@@ -155,6 +156,7 @@ impl Threads {
                 free_jobs,
                 free_outputs,
                 publications: publications_to,
+                late: late_to,
                 seen: seen_to,
                 returned: seen_back,
                 lent: 0,
@@ -165,6 +167,7 @@ impl Threads {
                 network_progress,
                 reports,
                 publications,
+                late,
                 seen,
                 returned: seen_back_to,
                 listeners: vec![camera_traces, frame_traces, key_frame_traces, publisher_traces],

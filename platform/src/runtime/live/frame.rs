@@ -89,6 +89,7 @@ impl FrameThread {
             };
             if self.reports.push(report).is_err() {
                 Counters::add(&self.shared.counters.unobserved, 1);
+                Counters::add(&self.shared.counters.unreported, 1);
             }
             if outcome.is_key_frame {
                 self.job.frame = index;

@@ -9,6 +9,7 @@ use freespace::port::Clock as _;
 use freespace::stage::{Stage, StageProbe as _};
 use rtrb::{Consumer, Producer};
 
+use super::super::LateWork;
 use super::super::ThreadedNetwork;
 use super::super::allocation::{RealTimeScope, outside_scopes};
 use super::super::page_faults::FaultMeter;
@@ -21,6 +22,8 @@ use super::slow::{Probe, SlowStage};
 pub(super) enum KeyFrameNews {
     /// An answer.
     Answered(Box<KeyFrameJob>, Box<KeyFrameOutput>),
+    /// No answer will come for this job, on which this much was done.
+    GivenUp(Box<KeyFrameJob>, Blame, LateWork),
     /// No answer will come for this job.
     Failed(Box<KeyFrameJob>, Cause),
     /// No answer will come any more.
@@ -86,9 +89,10 @@ impl KeyFrameThread {
             Ok(Err(blame)) => {
                 let now = self.shared.clock.now();
                 self.teller.tell(now, Event::GivenUp(job.sequence, blame));
+                let work = LateWork::of(&job, &output, now);
                 self.lessons.push(lesson);
                 self.output = Some(output);
-                KeyFrameNews::Failed(job, Cause::GivenUp(blame))
+                KeyFrameNews::GivenUp(job, blame, work)
             }
             Err(Panicked) => {
                 self.lessons.push(lesson);

@@ -13,7 +13,7 @@ use rtrb::{Consumer, Producer};
 use crate::statistics::Publication;
 
 use super::super::trace::Listener;
-use super::super::{FrameReport, KeyFrameReport, Observer, RunError, Status};
+use super::super::{FrameReport, KeyFrameReport, LateWork, Observer, RunError, Status};
 use super::Shared;
 use super::publisher::LENT;
 
@@ -36,6 +36,7 @@ pub(super) struct ObserverThread {
     pub(super) network_progress: Arc<Progress>,
     pub(super) reports: Consumer<FrameReport>,
     pub(super) publications: Consumer<Publication>,
+    pub(super) late: Consumer<LateWork>,
     pub(super) seen: Consumer<Observation>,
     pub(super) returned: Producer<Observation>,
     pub(super) listeners: Vec<Listener>,
@@ -87,6 +88,9 @@ impl ObserverThread {
         }
         while let Ok(publication) = self.publications.pop() {
             observer.publication(&publication);
+        }
+        while let Ok(work) = self.late.pop() {
+            observer.late_work(&work);
         }
         // One that takes longer over a key frame than the next one takes to come must still get to its other duties.
         for _ in 0..LENT {

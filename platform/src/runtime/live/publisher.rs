@@ -5,7 +5,7 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use freespace::deadline::Verdict;
+use freespace::deadline::{Cause, Verdict};
 use freespace::health::{Blame, Faults};
 use freespace::pipeline::{KeyFrameJob, KeyFrameOutput, PublishTask, Workers};
 use freespace::port::{Clock as _, SinkPort};
@@ -15,6 +15,7 @@ use rtrb::{Consumer, Producer};
 
 use crate::statistics::Publication;
 
+use super::super::LateWork;
 use super::super::allocation::RealTimeScope;
 use super::super::handover::wait;
 use super::super::page_faults::FaultMeter;
@@ -45,6 +46,8 @@ pub(super) struct PublisherThread {
     pub(super) free_outputs: Producer<Box<KeyFrameOutput>>,
     /// Every publication in numbers.
     pub(super) publications: Producer<Publication>,
+    /// Work whose answer a fallback did not wait for.
+    pub(super) late: Producer<LateWork>,
     /// Publications on loan to the observer.
     pub(super) seen: Producer<Observation>,
     /// Publications that come back from the observer.
@@ -110,6 +113,11 @@ impl PublisherThread {
     fn hear_key_frame(&mut self, news: KeyFrameNews) -> bool {
         match news {
             KeyFrameNews::Answered(job, output) => self.take_answer(job, output),
+            KeyFrameNews::GivenUp(job, blame, work) => {
+                self.note_late(work);
+                self.task.fail(job.sequence, Cause::GivenUp(blame));
+                self.free(Some(job), None);
+            }
             KeyFrameNews::Failed(job, cause) => {
                 self.task.fail(job.sequence, cause);
                 self.free(Some(job), None);
@@ -134,9 +142,10 @@ impl PublisherThread {
             }
             Ok(Verdict::Late) => {
                 self.shared.publisher_progress.rest();
-                let micros = clock.now().since(output.stamp);
-                self.teller
-                    .tell(clock.now(), Event::AnsweredLate(sequence, micros));
+                let now = clock.now();
+                let work = LateWork::of(&job, &output, now);
+                (self.teller).tell(now, Event::AnsweredLate(sequence, work.micros));
+                self.note_late(work);
                 self.keep(&output);
                 self.free(Some(job), Some(output));
             }
@@ -145,6 +154,11 @@ impl PublisherThread {
                 self.free(Some(job), Some(output));
             }
         }
+    }
+
+    fn note_late(&mut self, work: LateWork) {
+        let is_lost = self.late.push(work).is_err();
+        Counters::add(&self.shared.counters.unreported, u64::from(is_lost));
     }
 
     fn keep(&mut self, output: &KeyFrameOutput) {
@@ -281,6 +295,7 @@ impl PublisherThread {
         // Once, whatever of it was not seen.
         let is_unobserved = !is_told || kept.is_some();
         Counters::add(&self.shared.counters.unobserved, u64::from(is_unobserved));
+        Counters::add(&self.shared.counters.unreported, u64::from(!is_told));
         if let Some(observation) = kept {
             self.free(observation.job, Some(observation.output));
         }

@@ -5,6 +5,8 @@ use freespace::health::Blame;
 use freespace::pipeline::{KeyFrameJob, KeyFrameOutput, Lesson};
 use freespace::space::Micros;
 
+use super::super::LateWork;
+
 /// Something that one task hands to another.
 pub(super) enum Event {
     /// To the publisher: a key frame was taken up.
@@ -17,6 +19,8 @@ pub(super) enum Event {
     Lesson(Box<Lesson>),
     /// To the publisher: an answer.
     Answered(Box<KeyFrameJob>, Box<KeyFrameOutput>),
+    /// To the publisher: the work was given up, after this much of it.
+    GivenUp(Box<KeyFrameJob>, Blame, LateWork),
     /// To the publisher: no answer will come.
     Failed(Box<KeyFrameJob>, Cause),
 }

@@ -12,7 +12,7 @@ use freespace::stage::Stage;
 
 use super::super::allocation::{RealTimeScope, outside_scopes};
 use super::super::restart::{Panicked, guarded};
-use super::super::{FrameReport, KeyFrameReport, Observer, RunSummary, WHEEL_LOOKAHEAD_MICROS};
+use super::super::{FrameReport, KeyFrameReport, LateWork, Observer, RunSummary, WHEEL_LOOKAHEAD_MICROS};
 use super::agenda::{Agenda, Event};
 use super::time::{Learning, TaskTime};
 use crate::statistics::Publication;
@@ -205,6 +205,11 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             }
             Event::Lesson(lesson) => self.learn(lesson),
             Event::Answered(job, output) => self.answer(at, job, output, observer),
+            Event::GivenUp(job, blame, work) => {
+                observer.late_work(&work);
+                self.publish_task.fail(job.sequence, Cause::GivenUp(blame));
+                self.jobs.push(job);
+            }
             Event::Failed(job, cause) => {
                 self.publish_task.fail(job.sequence, cause);
                 self.jobs.push(job);
@@ -343,18 +348,18 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
             self.agenda.add(done, Event::Answered(job, output));
             return;
         }
+        if let Ok(Err(blame)) = stepped {
+            let work = LateWork::of(&job, &output, done);
+            self.agenda.add(done, Event::GivenUp(job, blame, work));
+        } else {
+            self.summary.restarts += 1;
+            self.key_frame_task = outside_scopes(|| KeyFrameTask::new(self.config, self.pace));
+            self.key_frame_free = Some(done.plus(RESTART_MICROS));
+            let blame = Blame::Stage(self.key_frame_time.stage().unwrap_or(Stage::Map));
+            self.agenda.add(done, Event::Failed(job, Cause::Panicked(blame)));
+        }
         self.outputs.push(output);
         self.lessons.push(lesson);
-        let cause = match stepped {
-            Ok(Err(blame)) => Cause::GivenUp(blame),
-            Ok(Ok(())) | Err(Panicked) => {
-                self.summary.restarts += 1;
-                self.key_frame_task = outside_scopes(|| KeyFrameTask::new(self.config, self.pace));
-                self.key_frame_free = Some(done.plus(RESTART_MICROS));
-                Cause::Panicked(Blame::Stage(self.key_frame_time.stage().unwrap_or(Stage::Map)))
-            }
-        };
-        self.agenda.add(done, Event::Failed(job, cause));
     }
 
     fn answer(
@@ -379,8 +384,9 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
         match verdict {
             _ if self.publish_free.is_none() => {}
             Ok(verdict) => {
-                if verdict == Verdict::Publish {
-                    self.show(Some(&job), &output, observer);
+                match verdict {
+                    Verdict::Publish => self.show(Some(&job), &output, observer),
+                    Verdict::Late => observer.late_work(&LateWork::of(&job, &output, at)),
                 }
                 self.publish_task.keep(&output);
             }
@@ -426,7 +432,9 @@ impl<'a, N: RoadNetwork, T: TaskTime> Engine<'a, N, T> {
 
     /// The stage that a task is in at a time; none where it waits for work.
     fn at_work(&self, free: FreeAt, time: &T, at: Micros) -> Option<Stage> {
-        free.is_none_or(|free| free > at).then(|| time.stage()).flatten()
+        free.is_none_or(|free| free > at)
+            .then(|| time.stage_at(at))
+            .flatten()
     }
 
     fn show(&mut self, job: Option<&KeyFrameJob>, output: &KeyFrameOutput, observer: &mut dyn Observer) {

@@ -2,11 +2,9 @@
 //!
 //! In: [`RecordedTimes`]. Out: clock, probe and network that behave as that drive's did. Invariant: nothing depends on the
 //! machine. What the clock decided then is decided the same way again: stages that might not start, the quanta after which
-//! refinement stopped, a network that was late or failed, answers that a fallback left in place of. What a job took whose answer
-//! was late nobody recorded: it is worked on in full, and is late.
-//! Known limit: such an answer is what the next fallback moves, also where the drive had given it up.
+//! refinement stopped, a network that was late or failed, answers that a fallback left in place of, and work that was given up.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
@@ -32,8 +30,8 @@ pub struct KeyFrameTimes {
     pub faults: Faults,
     /// From capture to publication.
     pub latency_micros: u64,
-    /// Whether a fallback left in place of its answer.
-    pub is_answered_late: bool,
+    /// Where a fallback left in place of its answer: from capture until the publisher heard of the work on it.
+    pub heard_micros: Option<u64>,
 }
 
 /// What the frames and key frames of a drive took, by the index of the frame.
@@ -46,9 +44,6 @@ pub struct RecordedTimes {
     /// Before which frame the lesson of which key frame was learnt; empty where nobody noted it.
     pub lessons: BTreeMap<u64, u64>,
 }
-
-/// After its capture, when an answer comes that a fallback did not wait for: after the fallback, and before the next key frame.
-const LATE_ANSWER_MICROS: u64 = 450_000;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Task {
@@ -67,19 +62,10 @@ struct TaskState {
     now: Cell<Micros>,
     frame: Cell<Option<u64>>,
     key_frame: Cell<Option<KeyFrameTimes>>,
-    stage: Cell<Option<Stage>>,
-    /// What the next reading of the clock but one adds: a stage reads it when it begins, and its time is over when it reads it
-    /// again.
-    due: Cell<Due>,
-}
-
-/// Time of a stage that the clock has yet to show.
-#[derive(Clone, Copy, Debug, Default)]
-enum Due {
-    #[default]
-    Nothing,
-    AfterNext(u64),
-    Now(u64),
+    /// The stages entered, and when.
+    stages: RefCell<Vec<(Stage, Micros)>>,
+    /// What the next reading of the clock adds: the time of the stage that was entered is over then.
+    due_micros: Cell<u64>,
 }
 
 impl Recorded {
@@ -90,8 +76,8 @@ impl Recorded {
             now: Cell::default(),
             frame: Cell::default(),
             key_frame: Cell::default(),
-            stage: Cell::default(),
-            due: Cell::default(),
+            stages: RefCell::new(Vec::with_capacity(Stage::ALL.len())),
+            due_micros: Cell::default(),
         }))
     }
 
@@ -128,23 +114,19 @@ impl Recorded {
 
 impl Clock for Recorded {
     fn now(&self) -> Micros {
-        match self.0.due.take() {
-            Due::Nothing => {}
-            Due::AfterNext(micros) => self.0.due.set(Due::Now(micros)),
-            Due::Now(micros) => self.spend(micros),
-        }
+        self.spend(self.0.due_micros.take());
         self.0.now.get()
     }
 }
 
 impl StageProbe for Recorded {
     fn enter(&self, stage: Stage) -> bool {
-        self.0.stage.set(Some(stage));
+        self.0.stages.borrow_mut().push((stage, self.0.now.get()));
         match self.0.task {
             Task::Frame => self.spend(self.frame_stage_micros(stage)),
             Task::KeyFrame => {
                 let micros = self.0.key_frame.get().map_or(0, |times| times.stages.of(stage));
-                self.0.due.set(Due::AfterNext(micros));
+                self.0.due_micros.set(micros);
             }
             Task::Publisher => {}
         }
@@ -176,14 +158,15 @@ impl TaskTime for Recorded {
         self.0.frame.set(frame);
         let key_frame = frame.and_then(|frame| self.0.drive.key_frames.get(&frame));
         self.0.key_frame.set(key_frame.copied());
-        self.0.stage.set(None);
-        self.0.due.set(Due::Nothing);
+        self.0.stages.borrow_mut().clear();
+        self.0.due_micros.set(0);
     }
 
     fn end(&self, began: Micros) -> Option<Micros> {
         let done = match (self.0.task, self.0.key_frame.get()) {
-            (Task::KeyFrame, Some(times)) if times.is_answered_late => times.stamp.plus(LATE_ANSWER_MICROS),
-            (Task::KeyFrame, Some(times)) => times.stamp.plus(times.latency_micros),
+            (Task::KeyFrame, Some(times)) => times
+                .stamp
+                .plus(times.heard_micros.unwrap_or(times.latency_micros)),
             (Task::Frame, _) => self.0.now.get(),
             (Task::KeyFrame | Task::Publisher, _) => began,
         };
@@ -191,7 +174,13 @@ impl TaskTime for Recorded {
     }
 
     fn stage(&self) -> Option<Stage> {
-        self.0.stage.get()
+        self.0.stages.borrow().last().map(|(stage, _)| *stage)
+    }
+
+    fn stage_at(&self, at: Micros) -> Option<Stage> {
+        let stages = self.0.stages.borrow();
+        let entered = stages.iter().take_while(|(_, entered)| *entered <= at);
+        entered.last().map(|(stage, _)| *stage)
     }
 
     fn learning(&self) -> Learning {

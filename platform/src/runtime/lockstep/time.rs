@@ -23,6 +23,11 @@ pub(super) trait TaskTime: Clock + StageProbe {
     fn end(&self, began: Micros) -> Option<Micros>;
     /// The stage that the task was in last.
     fn stage(&self) -> Option<Stage>;
+    /// The stage that the task, at work then, was in at that time.
+    fn stage_at(&self, at: Micros) -> Option<Stage> {
+        let _ = at;
+        self.stage()
+    }
     /// What the task learns before it works on its frame.
     fn learning(&self) -> Learning {
         Learning::AsItComes

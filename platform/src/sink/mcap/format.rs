@@ -34,6 +34,8 @@ pub enum Topic {
     Frame,
     /// What left for each key frame: level, reasons, times.
     KeyFrame,
+    /// Work on a key frame that a fallback answered.
+    LateWork,
     /// CAN frames sent.
     CanOut,
     /// Lines of the log, `foxglove.Log`.
@@ -50,7 +52,7 @@ pub(super) struct Layout {
 
 impl Topic {
     /// All topics.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Image,
         Self::KeyFrameWanted,
         Self::Calibration,
@@ -60,6 +62,7 @@ impl Topic {
         Self::Wheels,
         Self::Frame,
         Self::KeyFrame,
+        Self::LateWork,
         Self::CanOut,
         Self::Log,
     ];
@@ -77,6 +80,7 @@ impl Topic {
             Self::Wheels => "/wheels",
             Self::Frame => "/freespace/frame",
             Self::KeyFrame => "/freespace/key_frame",
+            Self::LateWork => "/freespace/late_work",
             Self::CanOut => "/can/out",
             Self::Log => "/log",
         }
@@ -100,6 +104,7 @@ impl Topic {
             Self::Wheels => json_layout("freespace.WheelReading", WHEELS_SCHEMA),
             Self::Frame => json_layout("freespace.Frame", FRAME_SCHEMA),
             Self::KeyFrame => json_layout("freespace.KeyFrame", KEY_FRAME_SCHEMA),
+            Self::LateWork => json_layout("freespace.LateWork", LATE_WORK_SCHEMA),
             Self::CanOut => json_layout("freespace.CanFrames", CAN_SCHEMA),
         }
     }
@@ -141,6 +146,10 @@ const KEY_FRAME_SCHEMA: &str = r#"{"type":"object","properties":{"frame":{"type"
 "stamp_micros":{"type":"integer"},"latency_micros":{"type":"integer"},"level":{"type":"string"},"is_miss":{"type":"boolean"},
 "blame":{"type":["string","null"]},"faults":{"type":"array","items":{"type":"string"}},
 "stage_micros":{"type":"array","items":{"type":"integer"},"description":"frame, track, map, priors, segmentation, crf, grid, emit"},
+"refused":{"type":"integer"},"stopped_after":{"type":"array","items":{"type":["integer","null"]}}}}"#;
+const LATE_WORK_SCHEMA: &str = r#"{"type":"object","properties":{"frame":{"type":"integer"},"stamp_micros":{"type":"integer"},
+"micros":{"type":"integer","description":"from the capture until the publisher heard of it"},
+"faults":{"type":"array","items":{"type":"string"}},"stage_micros":{"type":"array","items":{"type":"integer"}},
 "refused":{"type":"integer"},"stopped_after":{"type":"array","items":{"type":["integer","null"]}}}}"#;
 const CAN_SCHEMA: &str = r#"{"type":"object","properties":{"frames":{"type":"array","items":{"type":"object","properties":{
 "id":{"type":"integer"},"extended":{"type":"boolean"},"data":{"type":"string","description":"hexadecimal"}}}}}}"#;
@@ -249,6 +258,25 @@ pub struct KeyFrameNote {
     /// What held it back.
     pub blame: Option<String>,
     /// Why it is not better.
+    pub faults: Vec<String>,
+    /// Time of each stage, in their order.
+    pub stage_micros: [u64; 8],
+    /// Stages that might not start, one bit each.
+    pub refused: u8,
+    /// Quanta after which the refinement of each stage was stopped.
+    pub stopped_after: [Option<u16>; 8],
+}
+
+/// Work on a key frame that a fallback answered.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LateWorkNote {
+    /// Index of its frame.
+    pub frame: u64,
+    /// Capture stamp.
+    pub stamp_micros: u64,
+    /// From capture until the publisher heard of it.
+    pub micros: u64,
+    /// Its faults.
     pub faults: Vec<String>,
     /// Time of each stage, in their order.
     pub stage_micros: [u64; 8],

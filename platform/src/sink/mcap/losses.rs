@@ -18,7 +18,7 @@ const LOST: &str = "lost_messages";
 pub struct Losses {
     /// Frames that found no buffer free: the disk was too slow.
     pub dropped_frames: u64,
-    /// Other messages that found their queue full.
+    /// Other messages that found a queue full, on their way to the observer or from it.
     pub dropped_messages: u64,
     /// Messages, frames among them, that the disk refused.
     pub lost_messages: u64,

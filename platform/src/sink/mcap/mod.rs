@@ -17,10 +17,12 @@ mod preamble;
 mod tap;
 mod thread;
 
-pub use format::{CanFrameNote, CanNote, FrameNote, KeyFrameNote, Topic, WantedNote, WheelNote};
+pub use format::{
+    CanFrameNote, CanNote, FrameNote, KeyFrameNote, LateWorkNote, Topic, WantedNote, WheelNote,
+};
 pub use losses::Losses;
 pub use observer::Noted;
-pub use parts::{FLUSH_EVERY, Medium, OpenPart, RETRY_EVERY, Split, part_path};
+pub use parts::{FLUSH_EVERY, Medium, OpenPart, RETRY_EVERY, Split, later_parts, part_path};
 pub use preamble::{CONFIG, DRIVE, DriveNote, VERSION};
 pub use tap::{CameraTap, WheelTap};
 
@@ -74,10 +76,22 @@ pub struct RecordingCounts {
     pub written_bytes: u64,
     /// Frames that found no buffer free: the disk was too slow.
     pub dropped_frames: u64,
-    /// Other messages that found their queue full.
+    /// Other messages that found a queue full, on their way to the observer or from it.
     pub dropped_messages: u64,
     /// Messages that the disk refused.
     pub lost_messages: u64,
+}
+
+impl RecordingCounts {
+    /// What is not in it.
+    #[must_use]
+    pub const fn losses(&self) -> Losses {
+        Losses {
+            dropped_frames: self.dropped_frames,
+            dropped_messages: self.dropped_messages,
+            lost_messages: self.lost_messages,
+        }
+    }
 }
 
 /// The counts of a recording, as they grow.
@@ -254,6 +268,7 @@ impl DriveRecorder {
         Noted {
             taker: Some(&self.taker),
             inner,
+            unreported: 0,
         }
     }
 
@@ -292,7 +307,11 @@ impl Drop for DriveRecorder {
 impl<'a> Noted<'a> {
     /// Hands on alone.
     pub fn not(inner: &'a mut dyn Observer) -> Self {
-        Self { taker: None, inner }
+        Self {
+            taker: None,
+            inner,
+            unreported: 0,
+        }
     }
 }
 

@@ -14,11 +14,11 @@ use freespace::health::QualityLevel;
 use freespace::pipeline::KeyFrameOutput;
 
 use super::cloud::cloud;
-use super::format::{CanFrameNote, CanNote, FrameNote, KeyFrameNote, Topic};
+use super::format::{CanFrameNote, CanNote, FrameNote, KeyFrameNote, LateWorkNote, Topic};
 use super::note::{Note, timestamp, transform};
 use super::parts::{Counters, add};
 use crate::eval::grid::GridLayout;
-use crate::runtime::{FrameReport, KeyFrameReport, Observer, Start, Status, Trace};
+use crate::runtime::{FrameReport, KeyFrameReport, LateWork, Observer, Start, Status, Trace};
 use crate::statistics::Publication;
 
 /// Notes for the recorder.
@@ -67,6 +67,19 @@ impl NoteTaker {
         };
         let left = publication.stamp.plus(publication.latency_micros);
         self.note(Note::json(Topic::KeyFrame, left, &note));
+    }
+
+    fn late_work(&self, work: &LateWork) {
+        let note = LateWorkNote {
+            frame: work.frame,
+            stamp_micros: work.stamp.0,
+            micros: work.micros,
+            faults: work.faults.names().map(str::to_owned).collect(),
+            stage_micros: work.times.0,
+            refused: work.cuts.refused,
+            stopped_after: work.cuts.stopped_after,
+        };
+        self.note(Note::json(Topic::LateWork, work.stamp.plus(work.micros), &note));
     }
 
     fn key_frame(&self, output: &KeyFrameOutput) {
@@ -165,6 +178,8 @@ fn can_note(frame: &CanFrame) -> CanFrameNote {
 pub struct Noted<'a> {
     pub(super) taker: Option<&'a NoteTaker>,
     pub(super) inner: &'a mut dyn Observer,
+    /// Reports that never came, as counted so far.
+    pub(super) unreported: u64,
 }
 
 impl Observer for Noted<'_> {
@@ -184,6 +199,13 @@ impl Observer for Noted<'_> {
             taker.publication(publication);
         }
         self.inner.publication(publication);
+    }
+
+    fn late_work(&mut self, work: &LateWork) {
+        if let Some(taker) = self.taker {
+            taker.late_work(work);
+        }
+        self.inner.late_work(work);
     }
 
     fn key_frame(&mut self, report: &KeyFrameReport<'_>) {
@@ -208,6 +230,12 @@ impl Observer for Noted<'_> {
     }
 
     fn status(&mut self, status: &Status) {
+        let unreported = status.drops.unreported.unwrap_or(0);
+        if let Some(taker) = self.taker {
+            let more = unreported.saturating_sub(self.unreported);
+            add(&taker.counters.dropped_messages, more);
+        }
+        self.unreported = unreported;
         self.inner.status(status);
     }
 }

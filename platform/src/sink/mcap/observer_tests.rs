@@ -168,9 +168,20 @@ fn everything_is_handed_on_and_the_last_word_is_noted_too() {
     let mut observer = Noted {
         taker: Some(&taker),
         inner: &mut seen,
+        unreported: 0,
     };
     show_all(&mut observer, &output);
-    assert_eq!(seen.0, ALL);
+    // What never came to the observer is not in the recording, which says so.
+    let status = |unreported| {
+        let mut status = Status::default();
+        status.drops.unreported = Some(unreported);
+        status
+    };
+    for unreported in [2, 2, 5] {
+        observer.status(&status(unreported));
+    }
+    assert_eq!(taker.counters.losses().dropped_messages, 5);
+    assert_eq!(seen.0[..ALL.len()], ALL);
     let last: Note = noted.try_iter().last().unwrap();
     assert_eq!(last.topic, Topic::CanOut);
     assert!(String::from_utf8(last.data).unwrap().contains("\"ABCD\""));

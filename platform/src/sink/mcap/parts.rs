@@ -3,9 +3,10 @@
 //! In: messages. Out: `NAME.mcap`, `NAME.001.mcap`, and so on, each whole by itself. Invariant: what is older than
 //! [`FLUSH_EVERY`] is in the kernel's hands, as whole chunks, so that a killed process loses at most the last one. A chunk leaves
 //! in one piece from memory. When the disk is full the part ends where it is, readable up to its last chunk; it is told once, the
-//! messages are counted as lost, and a new part is tried every [`RETRY_EVERY`]. What is lost stands in the parts, too. Cost: lz4,
-//! and a checksum, over every byte.
+//! messages, those of the chunk that did not leave among them, are counted as lost, and a new part is tried every [`RETRY_EVERY`].
+//! What is lost stands in the parts, too. Cost: lz4, and a checksum, over every byte.
 
+use std::collections::BTreeSet;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -67,24 +68,36 @@ pub fn part_path(first: &Path, part: u32) -> PathBuf {
     }
 }
 
+/// The parts after the first that are there of the recording that begins at `first`, by number, whether or not any is missing.
+#[must_use]
+pub fn later_parts(first: &Path) -> BTreeSet<u32> {
+    let folder = first.parent().filter(|folder| *folder != Path::new(""));
+    let (Some(stem), Ok(entries)) = (
+        first.file_stem().and_then(|stem| stem.to_str()),
+        std::fs::read_dir(folder.unwrap_or(Path::new("."))),
+    ) else {
+        return BTreeSet::new();
+    };
+    let number = |name: &str| {
+        let text = name
+            .strip_prefix(stem)?
+            .strip_prefix('.')?
+            .strip_suffix(".mcap")?;
+        let number: u32 = text.parse().ok()?;
+        (number > 0 && text == format!("{number:03}")).then_some(number)
+    };
+    entries
+        .filter_map(|entry| number(entry.ok()?.file_name().to_str()?))
+        .collect()
+}
+
 /// A part that is there already of the recording that would begin at `first`, whatever its number.
 pub(super) fn earlier_part(first: &Path) -> Option<PathBuf> {
     if first.exists() {
         return Some(first.to_owned());
     }
-    let stem = first.file_stem()?.to_str()?;
-    let folder = first.parent().filter(|folder| *folder != Path::new(""));
-    let entries = std::fs::read_dir(folder.unwrap_or(Path::new("."))).ok()?;
-    let is_part = |name: &str| {
-        let number = name
-            .strip_prefix(stem)
-            .and_then(|rest| rest.strip_prefix('.')?.strip_suffix(".mcap"));
-        number.is_some_and(|number| number.len() >= 3 && number.bytes().all(|byte| byte.is_ascii_digit()))
-    };
-    entries
-        .filter_map(Result::ok)
-        .find(|entry| entry.file_name().to_str().is_some_and(is_part))
-        .map(|entry| entry.path())
+    let earliest = later_parts(first).into_iter().next();
+    earliest.map(|part| part_path(first, part))
 }
 
 /// What stands at the head of each part.
@@ -108,6 +121,10 @@ pub(super) struct Counters {
 }
 
 impl Counters {
+    fn written(&self) -> u64 {
+        self.written_bytes.load(Ordering::Relaxed)
+    }
+
     pub(super) fn losses(&self) -> Losses {
         Losses {
             dropped_frames: self.dropped_frames.load(Ordering::Relaxed),
@@ -119,6 +136,13 @@ impl Counters {
 
 pub(super) fn add(counter: &AtomicU64, count: u64) {
     counter.fetch_add(count, Ordering::Relaxed);
+}
+
+/// Messages of a chunk that is still in memory.
+#[derive(Clone, Copy, Debug, Default)]
+struct Held {
+    messages: u64,
+    frames: u64,
 }
 
 /// A medium whose bytes are counted.
@@ -158,8 +182,9 @@ struct Part {
     channels: [u16; Topic::ALL.len()],
     begun: Instant,
     began_bytes: u64,
+    counters: Arc<Counters>,
+    held: Held,
     flushed: Instant,
-    is_dirty: bool,
     /// As written last, and when.
     losses: Losses,
     losses_told: Instant,
@@ -167,7 +192,7 @@ struct Part {
 
 impl Part {
     fn begin(medium: Box<dyn Medium>, head: &Head, counters: &Arc<Counters>) -> Result<Self, McapError> {
-        let began_bytes = counters.written_bytes.load(Ordering::Relaxed);
+        let began_bytes = counters.written();
         let counted = Counted {
             inner: medium,
             written: 0,
@@ -211,8 +236,9 @@ impl Part {
             channels,
             begun: Instant::now(),
             began_bytes,
+            counters: Arc::clone(counters),
+            held: Held::default(),
             flushed: Instant::now(),
-            is_dirty: false,
             losses: counters.losses(),
             losses_told: Instant::now(),
         };
@@ -220,7 +246,7 @@ impl Part {
         for note in &head.standing {
             part.write(note.topic, 0, note.at.0, &note.data)?;
         }
-        part.writer.flush()?;
+        part.flush()?;
         Ok(part)
     }
 
@@ -232,8 +258,22 @@ impl Part {
             log_time: nanos,
             publish_time: nanos,
         };
-        self.is_dirty = true;
-        self.writer.write_to_known_channel(&header, data)
+        let written = self.counters.written();
+        self.writer.write_to_known_channel(&header, data)?;
+        if self.counters.written() > written {
+            // The chunk before was full, and left first.
+            self.held = Held::default();
+        }
+        self.held.messages += 1;
+        self.held.frames += u64::from(topic == Topic::Image);
+        Ok(())
+    }
+
+    /// Lets the chunk go.
+    fn flush(&mut self) -> Result<(), McapError> {
+        self.writer.flush()?;
+        self.held = Held::default();
+        Ok(())
     }
 
     /// Writes what was lost where that has grown, at most once a second.
@@ -246,6 +286,7 @@ impl Part {
     }
 
     fn tell_losses(&mut self, losses: Losses) -> Result<(), McapError> {
+        self.flush()?;
         self.writer.write_metadata(&losses.record())?;
         self.losses = losses;
         Ok(())
@@ -258,16 +299,15 @@ impl Part {
     }
 
     fn flush_if_due(&mut self, now: Instant) -> Result<(), McapError> {
-        if self.is_dirty && now.duration_since(self.flushed) >= FLUSH_EVERY {
-            self.writer.flush()?;
+        if self.held.messages > 0 && now.duration_since(self.flushed) >= FLUSH_EVERY {
+            self.flush()?;
             self.flushed = now;
-            self.is_dirty = false;
         }
         Ok(())
     }
 
-    fn is_full(&self, split: &Split, written_bytes: u64, now: Instant) -> bool {
-        let bytes = written_bytes - self.began_bytes;
+    fn is_full(&self, split: &Split, now: Instant) -> bool {
+        let bytes = self.counters.written() - self.began_bytes;
         split.bytes.is_some_and(|most| bytes >= most)
             || split
                 .after
@@ -285,6 +325,8 @@ pub(super) struct Parts {
     part: Option<Part>,
     /// Number of the next part.
     next: u32,
+    /// A file of that part, without its head, could not be removed.
+    has_remains: bool,
     retry_at: Option<Instant>,
     tell: Box<dyn FnMut(String) + Send>,
 }
@@ -310,6 +352,7 @@ impl Parts {
             counters: Arc::clone(counters),
             part: None,
             next: 0,
+            has_remains: false,
             retry_at: None,
             tell,
         };
@@ -319,16 +362,20 @@ impl Parts {
 
     fn begin_part(&mut self) -> Result<(), McapError> {
         let path = part_path(&self.first, self.next);
+        if self.has_remains {
+            let _ = std::fs::remove_file(&path);
+        }
         let medium = (self.open)(&path)?;
         match Part::begin(medium, &self.head, &self.counters) {
             Ok(part) => {
                 self.next += 1;
+                self.has_remains = false;
                 self.part = Some(part);
                 Ok(())
             }
             Err(error) => {
                 // A part without its head is of no use, and its name is wanted for the next try.
-                let _ = std::fs::remove_file(&path);
+                self.has_remains = std::fs::remove_file(&path).is_err();
                 Err(error)
             }
         }
@@ -356,10 +403,9 @@ impl Parts {
 
     /// Writes what has waited long enough, begins the next part where one is due, tries again where the disk refused.
     pub(super) fn tend(&mut self, now: Instant) {
-        let written = self.counters.written_bytes.load(Ordering::Relaxed);
         let losses = self.counters.losses();
         if let Some(part) = &mut self.part {
-            let tended = if part.is_full(&self.split, written, now) {
+            let tended = if part.is_full(&self.split, now) {
                 part.finish(losses).and_then(|()| self.begin_part())
             } else {
                 part.tell_losses_if_due(losses, now)
@@ -390,16 +436,21 @@ impl Parts {
             self.path().display()
         );
         (self.tell)(line);
-        self.part = None;
+        if let Some(Part { held, .. }) = self.part.take() {
+            // The disk had not got them.
+            add(&self.counters.lost_messages, held.messages);
+            self.counters.frames.fetch_sub(held.frames, Ordering::Relaxed);
+        }
         self.retry_at = Some(Instant::now() + RETRY_EVERY);
     }
 
     /// Ends the last part.
     pub(super) fn finish(&mut self) {
-        if let Some(mut part) = self.part.take()
-            && let Err(error) = part.finish(self.counters.losses())
-        {
-            self.fail(&error);
+        let losses = self.counters.losses();
+        let Some(part) = &mut self.part else { return };
+        match part.finish(losses) {
+            Ok(()) => self.part = None,
+            Err(error) => self.fail(&error),
         }
     }
 }

@@ -33,8 +33,11 @@ impl RecorderThread {
     pub(super) fn run(mut self) {
         loop {
             let is_last = self.is_over.load(Ordering::Acquire);
-            self.drain();
+            let had_frame = self.take_turn();
             self.parts.tend(Instant::now());
+            if had_frame {
+                continue;
+            }
             if is_last {
                 break;
             }
@@ -43,8 +46,12 @@ impl RecorderThread {
         self.parts.finish();
     }
 
-    fn drain(&mut self) {
-        while let Ok(frame) = self.frames.pop() {
+    /// Writes one frame, if one waits, and all else that waits: frames come faster than a slow disk takes them, and must not keep
+    /// notes waiting until those are lost.
+    fn take_turn(&mut self) -> bool {
+        let frame = self.frames.pop().ok();
+        let had_frame = frame.is_some();
+        if let Some(frame) = frame {
             self.write_frame(&frame);
             // There is room for every buffer.
             let _ = self.returned.push(frame);
@@ -56,6 +63,7 @@ impl RecorderThread {
         while let Ok(note) = self.notes.try_recv() {
             self.write(&note);
         }
+        had_frame
     }
 
     #[expect(
@@ -78,5 +86,94 @@ impl RecorderThread {
 
     fn write(&mut self, note: &Note) {
         self.parts.write(note.topic, 0, note.at.0, &note.data);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use std::io::Cursor;
+    use std::path::Path;
+    use std::sync::atomic::AtomicUsize;
+    use std::sync::mpsc::sync_channel;
+
+    use freespace::space::Micros;
+    use rtrb::RingBuffer;
+
+    use super::super::parts::{Counters, Head, Medium, Parts, Split};
+    use super::*;
+
+    #[test]
+    fn frames_that_never_cease_keep_no_note_waiting_and_no_part_from_its_end() {
+        let counters = Arc::new(Counters::default());
+        let opened = Arc::new(AtomicUsize::new(0));
+        let opening = Arc::clone(&opened);
+        let parts = Parts::begin(
+            Path::new("memory.mcap"),
+            Split {
+                bytes: Some(1_000_000),
+                after: None,
+            },
+            Head {
+                drive: Vec::new(),
+                config: String::new(),
+                standing: Vec::new(),
+            },
+            Box::new(move |_| {
+                opening.fetch_add(1, Ordering::Relaxed);
+                Ok(Box::new(Cursor::new(Vec::<u8>::new())) as Box<dyn Medium>)
+            }),
+            &counters,
+            Box::new(|line| panic!("{line}")),
+        )
+        .unwrap();
+        let (mut lend, frames) = RingBuffer::new(4);
+        let (returned, mut back) = RingBuffer::new(4);
+        let (_, wheels) = RingBuffer::new(1);
+        let (tell, notes) = sync_channel(8);
+        let is_over = Arc::new(AtomicBool::new(false));
+        let mut recorder = RecorderThread {
+            parts,
+            frames,
+            returned,
+            wheels,
+            notes,
+            is_over: Arc::clone(&is_over),
+            message: Vec::new(),
+        };
+        // Noise, which does not compress.
+        let mut state = 1_u32;
+        let noise: Vec<u8> = std::iter::repeat_with(|| {
+            state ^= state << 13;
+            state ^= state >> 17;
+            state ^= state << 5;
+            state.to_ne_bytes()[0]
+        })
+        .take(300_000)
+        .collect();
+        let frame = || {
+            Box::new(FrameBuffer {
+                bytes: noise.clone(),
+                width: 300_000,
+                height: 1,
+                ..FrameBuffer::default()
+            })
+        };
+        (0..4).for_each(|_| lend.push(frame()).unwrap());
+        for turn in 0..40 {
+            tell.try_send(Note::json(Topic::Frame, Micros(turn), &turn))
+                .unwrap();
+            assert!(recorder.take_turn());
+            recorder.parts.tend(Instant::now());
+            // A frame a turn, however many wait; the camera is at it again at once.
+            lend.push(back.pop().unwrap()).unwrap();
+            assert!(back.pop().is_err());
+        }
+        assert_eq!(
+            counters.losses().dropped_messages + counters.losses().lost_messages,
+            0
+        );
+        let parts = opened.load(Ordering::Relaxed);
+        assert!(parts > 1, "{parts} part");
     }
 }

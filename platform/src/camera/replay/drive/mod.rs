@@ -23,8 +23,8 @@ use serde::de::DeserializeOwned;
 
 use crate::bad_input::BadInput;
 use crate::sink::mcap::{
-    CONFIG, DRIVE, DriveNote, FrameNote, KeyFrameNote, Losses, Topic, VERSION, WantedNote, WheelNote,
-    first_part, part_path, picture,
+    CONFIG, DRIVE, DriveNote, FrameNote, KeyFrameNote, LateWorkNote, Losses, Topic, VERSION, WantedNote,
+    WheelNote, first_part, later_parts, part_path, picture,
 };
 use crate::wheels::RecordedReading;
 use stream::{Found, Stream};
@@ -55,6 +55,8 @@ pub struct RecordedDrive {
     pub frame_notes: BTreeMap<u64, FrameNote>,
     /// What left for each key frame that had a frame, by its index.
     pub key_frame_notes: BTreeMap<u64, KeyFrameNote>,
+    /// Work on key frames that a fallback answered, by the index of the frame.
+    pub late_work_notes: BTreeMap<u64, LateWorkNote>,
     /// What left for instants at which no frame came.
     pub frameless_notes: Vec<KeyFrameNote>,
     /// Parts that end before their end.
@@ -80,6 +82,7 @@ struct Gathered {
     wheels: Vec<RecordedReading>,
     frame_notes: BTreeMap<u64, FrameNote>,
     key_frame_notes: BTreeMap<u64, KeyFrameNote>,
+    late_work_notes: BTreeMap<u64, LateWorkNote>,
     frameless_notes: Vec<KeyFrameNote>,
     /// The first record, and the last.
     losses: Option<(Losses, Losses)>,
@@ -144,6 +147,7 @@ impl RecordedDrive {
             wheels: gathered.wheels,
             frame_notes: gathered.frame_notes,
             key_frame_notes: gathered.key_frame_notes,
+            late_work_notes: gathered.late_work_notes,
             frameless_notes: gathered.frameless_notes,
             cut,
             losses: gathered.losses.map(|(first, last)| last.since(&first)),
@@ -153,8 +157,20 @@ impl RecordedDrive {
     /// Whether it holds all that its own times and answers are taken from.
     ///
     /// # Errors
-    /// Notes that were dropped while it was recorded: what is left would be taken for the drive.
+    /// Notes that were dropped while it was recorded, or a part before the last that is cut off: what is left would be taken for
+    /// the drive.
     pub fn check_notes(&self) -> Result<(), BadInput> {
+        let last = self.parts.last();
+        if let Some(hole) = self.cut.iter().find(|cut| Some(&cut.path) != last) {
+            return Err(BadInput::of_file(
+                &hole.path,
+                format!(
+                    "is cut off, and is not the last part ({}): the drive has a hole there",
+                    hole.cause
+                ),
+                "replay it with --timing own, copy the part again, or move the parts after it elsewhere",
+            ));
+        }
         match (self.losses, self.parts.first()) {
             (Some(losses), Some(first)) if losses.has_lost_notes() => Err(BadInput::of_file(
                 first,
@@ -193,10 +209,16 @@ fn parts_from(first: &Path) -> Result<Vec<PathBuf>, BadInput> {
     if !first.is_file() {
         return Err(BadInput::of_file(first, "is no file", AGAIN));
     }
-    Ok((0..)
-        .map(|part| part_path(first, part))
-        .take_while(|path| path.is_file())
-        .collect())
+    let later = later_parts(first);
+    let last = later.last().copied().unwrap_or(0);
+    if let Some(missing) = (1..last).find(|part| !later.contains(part)) {
+        return Err(BadInput::of_file(
+            &part_path(first, missing),
+            format!("is missing, but part {last} of the drive is there"),
+            "put it back; or move the parts after it elsewhere, to do without them",
+        ));
+    }
+    Ok((0..=last).map(|part| part_path(first, part)).collect())
 }
 
 /// What is wrong with a part, and what to do.
@@ -287,6 +309,10 @@ impl Gathered {
                     Some(frame) => drop(self.key_frame_notes.insert(frame, key_frame)),
                     None => self.frameless_notes.push(key_frame),
                 }
+            }
+            Topic::LateWork => {
+                let late: LateWorkNote = note(topic, data)?;
+                self.late_work_notes.insert(late.frame, late);
             }
             Topic::Calibration
             | Topic::Transform

@@ -6,7 +6,7 @@ use freespace::stage::{Cuts, StageTimes};
 
 use super::RecordedDrive;
 use crate::runtime::{KeyFrameTimes, RecordedTimes};
-use crate::sink::mcap::KeyFrameNote;
+use crate::sink::mcap::{KeyFrameNote, LateWorkNote};
 
 impl RecordedDrive {
     /// The times for [`run_recorded`](crate::runtime::run_recorded).
@@ -17,7 +17,7 @@ impl RecordedDrive {
                 .map(|(index, note)| (*index, note.micros))
                 .collect(),
             key_frames: (self.key_frame_notes.iter())
-                .map(|(index, note)| (*index, key_frame_times(note)))
+                .map(|(index, note)| (*index, key_frame_times(note, self.late_work_notes.get(index))))
                 .collect(),
             lessons: (self.frame_notes.iter())
                 .filter_map(|(index, note)| Some((*index, note.learnt?)))
@@ -26,22 +26,35 @@ impl RecordedDrive {
     }
 }
 
-fn key_frame_times(note: &KeyFrameNote) -> KeyFrameTimes {
-    let faults = Faults::NAMED
-        .into_iter()
-        .filter(|(_, name)| note.faults.iter().any(|fault| fault == name))
-        .fold(Faults::NONE, |faults, (fault, _)| faults | fault);
+/// After its capture, when a late answer comes of whose work the drive did not hear to its end: after the fallback, and before
+/// the next key frame.
+const LATE_ANSWER_MICROS: u64 = 450_000;
+
+fn key_frame_times(note: &KeyFrameNote, late: Option<&LateWorkNote>) -> KeyFrameTimes {
+    let is_answered_late = [QualityLevel::Moved, QualityLevel::Invalid]
+        .map(QualityLevel::name)
+        .contains(&&*note.level);
+    // A fallback ran no stage: what was done meanwhile stands apart.
+    let (stages, refused, stopped_after, faults) = match late {
+        Some(late) => (late.stage_micros, late.refused, late.stopped_after, &late.faults),
+        None => (note.stage_micros, note.refused, note.stopped_after, &note.faults),
+    };
     KeyFrameTimes {
         stamp: Micros(note.stamp_micros),
-        stages: StageTimes(note.stage_micros),
+        stages: StageTimes(stages),
         cuts: Cuts {
-            refused: note.refused,
-            stopped_after: note.stopped_after,
+            refused,
+            stopped_after,
         },
-        faults,
+        faults: named(faults),
         latency_micros: note.latency_micros,
-        is_answered_late: [QualityLevel::Moved, QualityLevel::Invalid]
-            .iter()
-            .any(|level| level.name() == note.level),
+        heard_micros: is_answered_late.then(|| late.map_or(LATE_ANSWER_MICROS, |late| late.micros)),
     }
+}
+
+fn named(faults: &[String]) -> Faults {
+    Faults::NAMED
+        .into_iter()
+        .filter(|(_, name)| faults.iter().any(|fault| fault == name))
+        .fold(Faults::NONE, |faults, (fault, _)| faults | fault)
 }
