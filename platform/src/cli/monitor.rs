@@ -20,8 +20,8 @@ use crate::runtime::supervision::stop_on_signals;
 
 /// How long `--once` waits for a message: several key frames.
 const ONCE_WAIT: Duration = Duration::from_secs(5);
-/// After how long it says that it waits.
-const ONCE_SILENT: Duration = Duration::from_millis(700);
+/// After how long it is said that a message is waited for.
+const UNTOLD_WAIT: Duration = Duration::from_millis(700);
 /// How long it waits, then, for a view: it comes with the next key frame.
 const VIEW_WAIT: Duration = Duration::from_millis(1200);
 /// Between two looks at the state.
@@ -48,7 +48,7 @@ pub struct MonitorArgs {
     #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8642")]
     pub listen: Option<SocketAddr>,
     /// Print one snapshot and end.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "listen")]
     pub once: bool,
     /// Print text in place of the terminal view, a snapshot a message.
     #[arg(long)]
@@ -102,14 +102,14 @@ fn serve(address: SocketAddr, state: &Shared) -> Result<Server, Failure> {
 /// Prints one snapshot.
 fn once(args: &MonitorArgs, state: &Shared, stop: &AtomicBool) -> Result<(), Failure> {
     let has_message = || lock(state).messages() > 0;
-    let mut is_seen = wait(ONCE_SILENT, stop, has_message);
+    let mut is_seen = wait(UNTOLD_WAIT, stop, has_message);
     if !is_seen && !stop.load(Ordering::Relaxed) {
+        let longest = ONCE_WAIT.as_secs();
         eprintln!(
-            "freespace monitor: waiting for a message of {}, {} s at most",
-            args.name,
-            ONCE_WAIT.as_secs()
+            "freespace monitor: waiting for a message of {}, {longest} s at most",
+            args.name
         );
-        is_seen = wait(ONCE_WAIT.saturating_sub(ONCE_SILENT), stop, has_message);
+        is_seen = wait(ONCE_WAIT.saturating_sub(UNTOLD_WAIT), stop, has_message);
     }
     if is_seen {
         wait(VIEW_WAIT, stop, || lock(state).has_view());
@@ -136,6 +136,9 @@ fn wait(longest: Duration, stop: &AtomicBool, is_there: impl Fn() -> bool) -> bo
 /// Prints a snapshot a message until `stop`, or nothing where the page is all that is wanted.
 fn print_each(args: &MonitorArgs, state: &Shared, stop: &AtomicBool, is_quiet: bool) -> io::Result<()> {
     let mut printed = 0;
+    if !is_quiet && !wait(UNTOLD_WAIT, stop, || lock(state).messages() > 0) {
+        eprintln!("freespace monitor: waiting for a message of {}", args.name);
+    }
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(LOOK);
         let messages = lock(state).messages();

@@ -1,8 +1,8 @@
 //! Metrics in the text format of Prometheus, version 0.0.4.
 //!
 //! In: a [`State`] and the time. Out: the text of `/metrics`. Invariant: names, units and suffixes by the conventions
-//! (`promtool check metrics` accepts them); counters are since the monitor started, and rest while the module is silent; a
-//! gauge of the module is left out while the module is silent, so that no alert reads an old one. Cost: some hundred lines.
+//! (`promtool check metrics` accepts them); counters are since the monitor started, those of frames and restarts since the
+//! module did, and rest while the module is silent; a gauge of the module is left out while the module is silent, so that no alert reads an old one. Cost: some hundred lines.
 
 use std::fmt::{Display, Write as _};
 
@@ -117,9 +117,10 @@ fn latency(text: &mut Text, state: &State) {
         below += count;
         text.labelled(&bucket, "le", seconds(*end), below);
     }
-    text.labelled(&bucket, "le", "+Inf", state.messages);
+    let answers = state.latency.count();
+    text.labelled(&bucket, "le", "+Inf", answers);
     text.sample(&format!("{NAME}_sum"), seconds(state.latency_sum_micros));
-    text.sample(&format!("{NAME}_count"), state.messages);
+    text.sample(&format!("{NAME}_count"), answers);
 }
 
 fn counters(text: &mut Text, state: &State) {

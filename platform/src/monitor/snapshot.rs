@@ -274,9 +274,11 @@ fn wheels(faults: Faults, scale: &str) -> &'static str {
 }
 
 impl MessageView {
-    fn of(last: &Last) -> Self {
+    fn of(last: &Last, link: Link) -> Self {
         let header = &last.header;
         let faults = header.faults;
+        // A message that is old, or the last one, says nothing of now.
+        let now = |state| if link == Link::Live { state } else { "unknown" };
         let scale = SCALE.get(usize::from(header.scale)).copied().unwrap_or("unknown");
         let tracking = TRACKING.get(usize::from(header.tracking)).copied();
         let can = [(Faults::CAN_SEND_FAILED, "sending fails")];
@@ -288,14 +290,18 @@ impl MessageView {
             level_number: header.level as u8,
             blame: header.blame.map(Blame::name),
             faults: faults.names().collect(),
-            scale,
-            tracking: tracking.unwrap_or("unknown"),
-            camera: camera(faults),
-            wheels: wheels(faults, scale),
-            can: first(faults, &can).unwrap_or("no fault"),
+            scale: now(scale),
+            tracking: now(tracking.unwrap_or("unknown")),
+            camera: now(camera(faults)),
+            wheels: now(wheels(faults, scale)),
+            can: now(first(faults, &can).unwrap_or("no fault")),
             speed_mps: header.speed_mps,
             yaw_rate_radps: header.yaw_rate_radps,
-            free_ahead_m: header.free_ahead_m,
+            free_ahead_m: if link == Link::Live {
+                header.free_ahead_m
+            } else {
+                0.0
+            },
             position_m: header.position_m.map(|m| if m.is_finite() { m } else { 0.0 }),
             camera_height_m: header.plane_offset_m,
             plane_sigma_m: header.plane_sigma_m,
@@ -384,7 +390,7 @@ impl Snapshot {
             link,
             reason,
             silent_s: state.silent_micros(now).map(|micros| millis(micros) / 1e3),
-            message: state.last.as_ref().map(MessageView::of),
+            message: state.last.as_ref().map(|last| MessageView::of(last, link)),
             totals: Totals {
                 messages: state.messages,
                 lost: state.lost,

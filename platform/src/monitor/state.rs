@@ -146,6 +146,11 @@ impl Header {
     pub(super) fn is_miss(&self) -> bool {
         self.level >= QualityLevel::Moved || self.faults.contains(Faults::DEADLINE_MISSED)
     }
+
+    /// Whether it is the module's last word: no key frame asked for it.
+    fn is_last_word(&self) -> bool {
+        self.faults.contains(Faults::SHUTTING_DOWN)
+    }
 }
 
 /// One key frame of the history.
@@ -250,20 +255,8 @@ impl State {
         }
         self.follow_on(&header);
         self.count(&header);
-        let entry = Entry {
-            sequence: header.sequence,
-            received: now,
-            used_micros: header.used_micros,
-            budget_micros: header.budget_micros,
-            level: header.level,
-            blame: header.blame,
-            faults: header.faults,
-            is_miss: header.is_miss(),
-            stage_micros: None,
-        };
-        push(&mut self.history, entry, HISTORY);
-        if entry.is_miss {
-            push(&mut self.missed, entry, MISSES);
+        if !header.is_last_word() {
+            self.answer(&header, now);
         }
         let cells = message.cells();
         let (mut occupancy, mut reason, mut age) = self
@@ -341,7 +334,7 @@ impl State {
     /// Whether the module said that it ends.
     pub(super) fn is_ended(&self) -> bool {
         let last = self.last.as_ref();
-        last.is_some_and(|last| last.header.faults.contains(Faults::SHUTTING_DOWN))
+        last.is_some_and(|last| last.header.is_last_word())
     }
 
     /// Whether this is the last message once more: a reader that is opened anew gets it again.
@@ -369,19 +362,36 @@ impl State {
     }
 
     fn count(&mut self, header: &Header) {
-        let micros = u64::from(header.used_micros);
         self.messages += 1;
+        self.levels[header.level as usize] += 1;
+        for (count, (fault, _)) in self.faults.iter_mut().zip(Faults::NAMED) {
+            *count += u64::from(header.faults.contains(fault));
+        }
+    }
+
+    /// Takes an answer to a key frame.
+    fn answer(&mut self, header: &Header, now: Now) {
+        let micros = u64::from(header.used_micros);
         self.latency.record(micros);
         self.latency_sum_micros = self.latency_sum_micros.saturating_add(micros);
         self.bins[usize::try_from(micros / BIN_MICROS).map_or(BINS - 1, |bin| bin.min(BINS - 1))] += 1;
         self.buckets[BUCKETS_MICROS.partition_point(|end| *end < micros)] += 1;
-        self.levels[header.level as usize] += 1;
-        if header.is_miss() {
+        let entry = Entry {
+            sequence: header.sequence,
+            received: now,
+            used_micros: header.used_micros,
+            budget_micros: header.budget_micros,
+            level: header.level,
+            blame: header.blame,
+            faults: header.faults,
+            is_miss: header.is_miss(),
+            stage_micros: None,
+        };
+        push(&mut self.history, entry, HISTORY);
+        if entry.is_miss {
             self.misses += 1;
             self.misses_by_blame[usize::from(Blame::to_wire(header.blame))] += 1;
-        }
-        for (count, (fault, _)) in self.faults.iter_mut().zip(Faults::NAMED) {
-            *count += u64::from(header.faults.contains(fault));
+            push(&mut self.missed, entry, MISSES);
         }
     }
 }

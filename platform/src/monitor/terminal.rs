@@ -156,10 +156,12 @@ fn title(snapshot: &Snapshot) -> Line<'static> {
     }
     if let Some(message) = &snapshot.message {
         spans.push(Span::raw(format!("  key frame {}  ", message.sequence)));
-        spans.push(Span::styled(
-            message.level.to_owned(),
-            BOLD.fg(colour(message.level_number)),
-        ));
+        let level = if snapshot.link == Link::Live {
+            BOLD.fg(colour(message.level_number))
+        } else {
+            DIM
+        };
+        spans.push(Span::styled(message.level.to_owned(), level));
         spans.push(Span::raw(format!(
             "  {:.0} of {:.0} ms",
             message.used_ms, message.budget_ms

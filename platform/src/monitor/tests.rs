@@ -189,11 +189,19 @@ fn a_module_that_falls_silent_is_never_shown_as_live() {
     let metrics = render_metrics(&stream.state, stream.now);
     assert!(metrics.contains("freespace_up 0\n") && !metrics.contains("freespace_free_distance_meters"));
     assert!(metrics.contains("freespace_deadline_misses_total{blame=\"camera\"} 1\n"));
+    let message = snapshot.message.unwrap();
+    assert_eq!((message.camera, message.free_ahead_m), ("unknown", 0.0));
+    // The last word, as the module says it: no answer, and no miss.
     stream.publish(Header {
-        faults: Faults::SHUTTING_DOWN,
+        level: QualityLevel::Invalid,
+        faults: Faults::SHUTTING_DOWN | Faults::DEADLINE_MISSED,
         ..Stream::good()
     });
-    assert_eq!(stream.snapshot().link, Link::Ended);
+    let snapshot = stream.snapshot();
+    assert_eq!(snapshot.link, Link::Ended);
+    assert_eq!((snapshot.totals.messages, snapshot.totals.misses), (11, 1));
+    assert_eq!((snapshot.latency.count, snapshot.history.len()), (10, 10));
+    assert_eq!(snapshot.message.unwrap().camera, "unknown");
 }
 
 #[test]

@@ -127,14 +127,17 @@ function drawAll() {
 function show(state) {
   shown.state = state;
   text(id("service"), state.service);
-  document.title = state.message ? `${words(state.message.level)} - freespace monitor` : "freespace monitor";
   const [name, kind] = LINKS[state.link];
+  const isLive = state.link === "live";
+  document.body.classList.toggle("stale", !isLive);
+  document.title = `${isLive ? words(state.message.level) : name} - freespace monitor`;
   pill(id("link"), name, kind);
   const since = state.silent_s === null ? "" : ` The last message is ${state.silent_s.toFixed(0)} s old.`;
   alarm(state.reason ? `${state.reason}.${since}` : state.link === "ended" ? `The module has ended.${since}` : null);
   const { message } = state;
   if (!message) return;
   pill(id("level"), words(message.level), message.level_number === 0 ? "good" : message.level_number < 4 ? "warn" : "bad");
+  id("level").hidden = !isLive;
   terms(id("facts"), facts(state));
   list(id("events"), state.module?.events.length ? state.module.events : ["nothing"]);
   text(id("blames"), `Since the monitor started: ${state.totals.misses}. By stage: ${counted(state.totals.misses_by_blame)}.`);
