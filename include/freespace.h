@@ -67,6 +67,23 @@ extern "C" {
 #define FREESPACE_FAILED (-6) /* the shared memory failed: look at the room in /dev/shm, open the reader anew */
 #define FREESPACE_BAD_ARGUMENT (-7) /* a pointer is null, or a name is no text */
 
+/* What a code says, and its fix. */
+static inline const char *freespace_text(int code)
+{
+    switch (code) {
+    case FREESPACE_OK: return "it worked";
+    case FREESPACE_NOTHING: return "no message came in time, or a signal came";
+    case FREESPACE_NO_MODULE: return "nobody publishes under this name: start the module, or correct the name";
+    case FREESPACE_BAD_NAME: return "this is no name of a service";
+    case FREESPACE_TOO_MANY_READERS: return "no room for another reader: raise max_readers in [shared_memory]";
+    case FREESPACE_WRONG_LAYOUT: return "the module publishes another layout: build both from one version";
+    case FREESPACE_NOT_PERMITTED: return "the shared memory may not be opened: run as the module's user";
+    case FREESPACE_FAILED: return "the shared memory failed: look at the room in /dev/shm, open the reader anew";
+    case FREESPACE_BAD_ARGUMENT: return "a pointer is null, or a name is no text";
+    default: return "unknown code";
+    }
+}
+
 /* The message; each field with its offset. */
 typedef struct freespace_message {
     /*      0: `FREE`, 0x45455246. */
@@ -135,7 +152,7 @@ typedef struct freespace_message {
     float origin_y_m;
     /*    308: 0. */
     uint32_t reserved;
-    /*    312: CLOCK_MONOTONIC when it was put into shared memory; with `used_micros` it gives the age on any clock. */
+    /*    312: CLOCK_MONOTONIC when the publisher handed it over to be shared; with `used_micros` it gives the age on any clock. */
     uint64_t handed_over_micros;
     /*    320: Row by row: -1 unknown, 0 free to 100 occupied; a car may drive on 0 to 35. Unknown is not free. */
     int8_t occupancy[240000];

@@ -144,7 +144,7 @@ class Message(ctypes.Structure):
         ("origin_y_m", ctypes.c_float),
         # 308: 0.
         ("reserved", ctypes.c_uint32),
-        # 312: CLOCK_MONOTONIC when it was put into shared memory; with `used_micros` it gives the age on any clock.
+        # 312: CLOCK_MONOTONIC when the publisher handed it over to be shared; with `used_micros` it gives the age on any clock.
         ("handed_over_micros", ctypes.c_uint64),
         # 320: Row by row: -1 unknown, 0 free to 100 occupied; a car may drive on 0 to 35. Unknown is not free.
         ("occupancy", ctypes.c_int8 * 240000),
@@ -194,7 +194,12 @@ class ReaderError(Exception):
 
 
 def _library():
-    library = ctypes.CDLL(os.environ.get("FREESPACE_READER_LIBRARY", "libfreespace_reader.so"))
+    path = os.environ.get("FREESPACE_READER_LIBRARY", "libfreespace_reader.so")
+    try:
+        library = ctypes.CDLL(path)
+    except OSError as error:
+        fix = "build it with `cargo build --release -p freespace-reader`, and give its path in FREESPACE_READER_LIBRARY"
+        raise OSError(f"{error}: {fix}") from None
     message = ctypes.POINTER(Message)
     library.freespace_reader_open.argtypes = [ctypes.c_char_p, ctypes.POINTER(ctypes.c_void_p)]
     library.freespace_reader_next.argtypes = [ctypes.c_void_p, ctypes.c_uint64, ctypes.POINTER(message)]

@@ -20,7 +20,7 @@ static freespace_reader *open_reader(const char *name)
         if (code == FREESPACE_OK)
             return reader;
         if (code != FREESPACE_NO_MODULE) {
-            fprintf(stderr, "cannot read %s: code %d, see freespace.h\n", name, code);
+            fprintf(stderr, "%s: %s\n", name, freespace_text(code));
             exit(1);
         }
         fprintf(stderr, "waiting for a module that publishes %s\n", name);
@@ -38,13 +38,18 @@ static void print(const freespace_message *message)
     printf("%6" PRIu64 " %-16s age %6.1f ms, free ahead %5.1f m, %" PRIu32 " of %" PRIu32 " cells unknown (not free)\n",
            message->sequence, message->level <= FREESPACE_LEVEL_INVALID ? levels[message->level] : "unknown",
            (double)freespace_age_micros(message) * 1e-3, (double)freespace_free_ahead_m(message, 0.05f), unknown, cells);
-    fflush(stdout);
 }
 
 int main(int argc, char **argv)
 {
+    char *end = NULL;
+    long messages = argc > 2 ? strtol(argv[2], &end, 10) : -1;
+    if (argc > 3 || (argc > 1 && argv[1][0] == '-') || (end && (*end || end == argv[2]))) {
+        fputs("usage: read [NAME [MESSAGES]]: NAME is that of the module's [shared_memory]\n", stderr);
+        return 2;
+    }
     const char *name = argc > 1 ? argv[1] : "freespace/grid";
-    long messages = argc > 2 ? atol(argv[2]) : -1;
+    setvbuf(stdout, NULL, _IOLBF, 0); /* each line leaves at once, into a pipe, too */
     freespace_reader *reader = open_reader(name);
     while (messages != 0) {
         const freespace_message *message = NULL;
@@ -54,7 +59,7 @@ int main(int argc, char **argv)
             continue;
         }
         if (code != FREESPACE_OK) {
-            fprintf(stderr, "cannot read on: code %d, see freespace.h\n", code);
+            fprintf(stderr, "%s: %s\n", name, freespace_text(code));
             return 1;
         }
         print(message);

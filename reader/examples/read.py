@@ -17,7 +17,7 @@ def open_reader(name):
             return freespace.Reader(name)
         except freespace.ReaderError as error:
             if error.code != freespace.NO_MODULE:
-                raise
+                sys.exit(f"{name}: {error}")
         print(f"waiting for a module that publishes {name}", file=sys.stderr)
         time.sleep(1.0)
 

@@ -1,5 +1,6 @@
 //! Prints what the module publishes: `cargo run -p freespace-reader --example read [NAME [MESSAGES]]`.
 
+use std::process::ExitCode;
 use std::time::Duration;
 
 use freespace_reader::{Reader, ReaderError, SharedMessage, monotonic_now, service};
@@ -44,16 +45,34 @@ fn print(message: &SharedMessage) {
     );
 }
 
-fn main() -> Result<(), ReaderError> {
+/// Name of the service, and after how many messages to end; none where they were not understood.
+fn arguments() -> Option<(String, usize)> {
     let mut arguments = std::env::args().skip(1);
     let name = arguments
         .next()
         .unwrap_or_else(|| service::DEFAULT_NAME.to_owned());
     let messages = arguments
         .next()
-        .and_then(|text| text.parse().ok())
-        .unwrap_or(usize::MAX);
-    let mut reader = open(&name)?;
+        .map_or(Some(usize::MAX), |text| text.parse().ok())?;
+    (!name.starts_with('-')).then_some((name, messages))
+}
+
+fn main() -> ExitCode {
+    let Some((name, messages)) = arguments() else {
+        eprintln!("usage: read [NAME [MESSAGES]]: NAME is that of the module's [shared_memory]");
+        return ExitCode::from(2);
+    };
+    match read(&name, messages) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{name}: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn read(name: &str, messages: usize) -> Result<(), ReaderError> {
+    let mut reader = open(name)?;
     let mut seen = 0;
     while seen < messages {
         if let Some(message) = reader.next(Duration::from_secs(1))? {

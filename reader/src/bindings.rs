@@ -110,7 +110,12 @@ class ReaderError(Exception):
 
 
 def _library():
-    library = ctypes.CDLL(os.environ.get("FREESPACE_READER_LIBRARY", "libfreespace_reader.so"))
+    path = os.environ.get("FREESPACE_READER_LIBRARY", "libfreespace_reader.so")
+    try:
+        library = ctypes.CDLL(path)
+    except OSError as error:
+        fix = "build it with `cargo build --release -p freespace-reader`, and give its path in FREESPACE_READER_LIBRARY"
+        raise OSError(f"{error}: {fix}") from None
     message = ctypes.POINTER(Message)
     library.freespace_reader_open.argtypes = [ctypes.c_char_p, ctypes.POINTER(ctypes.c_void_p)]
     library.freespace_reader_next.argtypes = [ctypes.c_void_p, ctypes.c_uint64, ctypes.POINTER(message)]
@@ -224,6 +229,11 @@ pub fn c_header() -> String {
     for (name, code, says) in CODES {
         let _ = writeln!(text, "#define FREESPACE_{name} ({code}) /* {says} */");
     }
+    text.push_str("\n/* What a code says, and its fix. */\nstatic inline const char *freespace_text(int code)\n{\n    switch (code) {\n");
+    for (name, _, says) in CODES {
+        let _ = writeln!(text, "    case FREESPACE_{name}: return \"{says}\";");
+    }
+    text.push_str("    default: return \"unknown code\";\n    }\n}\n");
     text.push_str("\n/* The message; each field with its offset. */\ntypedef struct freespace_message {\n");
     for field in FIELDS {
         text.push_str(&c_member(field));

@@ -129,8 +129,7 @@ pub unsafe extern "C" fn freespace_reader_next(
     unsafe { message.write(ptr::null()) };
     guarded(|| {
         reader.held = None;
-        // Longer than a day is for ever.
-        let timeout = Duration::from_micros(timeout_micros.min(86_400_000_000));
+        let timeout = Duration::from_micros(timeout_micros);
         reader.held = reader.reader.next(timeout)?;
         let Some(held) = &reader.held else {
             return Ok(NOTHING);

@@ -16,6 +16,9 @@ use iceoryx2::service::service_name::ServiceName;
 use crate::error::ReaderError;
 use crate::service::{self, HISTORY, Ipc, Payload, READER_BUFFER, SOON, SOON_EVENT};
 
+/// What a call waits at most: longer times may not be added to the clock.
+const LONGEST_WAIT: Duration = Duration::from_secs(86_400);
+
 /// A message in shared memory, held for as long as this lives; at most two may be held at a time.
 pub struct Message(Sample<Ipc, Payload, ()>);
 
@@ -67,13 +70,13 @@ impl Reader {
         })
     }
 
-    /// The newest message that this reader has not had, waiting for it at most for `timeout`; none where none came, or a signal
-    /// did.
+    /// The newest message that this reader has not had, waiting for it at most for `timeout`, and a day; none where none came,
+    /// or a signal did.
     ///
     /// # Errors
     /// The service failed, or holds another layout: open the reader anew.
     pub fn next(&mut self, timeout: Duration) -> Result<Option<Message>, ReaderError> {
-        let until = Instant::now() + timeout;
+        let until = Instant::now() + timeout.min(LONGEST_WAIT);
         loop {
             if let Some(sample) = self.subscriber.receive().map_err(|_| ReaderError::Failed)? {
                 sample.payload().0.check()?;

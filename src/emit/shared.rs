@@ -132,7 +132,7 @@ layout! {
     300 origin_x_m: f32, "Corner of the grid (near, right) in the vehicle: metres ahead of the rear axle.";
     304 origin_y_m: f32, "The same corner: metres left of the centre line.";
     308 reserved: u32, "0.";
-    312 handed_over_micros: u64, "CLOCK_MONOTONIC when it was put into shared memory; with `used_micros` it gives the age on any clock.";
+    312 handed_over_micros: u64, "CLOCK_MONOTONIC when the publisher handed it over to be shared; with `used_micros` it gives the age on any clock.";
     320 occupancy: [i8; MAX_CELLS], "Row by row: -1 unknown, 0 free to 100 occupied; a car may drive on 0 to 35. Unknown is not free.";
     240_320 reason: [u8; MAX_CELLS], "Why each cell is so: 0 unseen, 1 plane, 2 box, 3 network, 4 previous key frame.";
     480_320 age: [u8; MAX_CELLS], "Time since each cell was last seen, 0.1 s; 255 is 25.5 s or more, or never.";

@@ -22,10 +22,12 @@ use std::thread::JoinHandle;
 
 use freespace::emit::{CanFrame, SHARED_BYTES};
 use freespace::health::Faults;
-use freespace::port::{SinkMiss, SinkPort};
+use freespace::port::{Clock as _, SinkMiss, SinkPort};
+use freespace::space::Micros;
 use freespace_reader::service;
 use rtrb::{Consumer, RingBuffer};
 
+use crate::clock::MonotonicClock;
 use crate::runtime::handover::Mailbox;
 use crate::runtime::rights::{Lacks, RealTimeConfig, ThreadRole, thread_builder};
 use crate::view;
@@ -66,6 +68,8 @@ impl SharingConfig {
 struct Letter {
     bytes: Box<[u8]>,
     length: usize,
+    /// When the publisher let go of it: what it waits from then on is part of its age.
+    posted: Micros,
 }
 
 impl Letter {
@@ -73,6 +77,7 @@ impl Letter {
         Box::new(Self {
             bytes: vec![0; message_bytes].into_boxed_slice(),
             length: 0,
+            posted: Micros(0),
         })
     }
 }
@@ -88,6 +93,7 @@ struct Desk {
 /// Publishes to shared memory.
 pub struct SharedMemorySink {
     desk: Arc<Desk>,
+    clock: MonotonicClock,
     #[expect(clippy::vec_box, reason = "a letter changes hands as its box")]
     at_hand: Vec<Box<Letter>>,
     returned: Consumer<Box<Letter>>,
@@ -129,6 +135,7 @@ impl SharedMemorySink {
         let lacks = told.recv().unwrap_or(Err(SharingError::Library))?;
         let sink = Self {
             desk,
+            clock: MonotonicClock::of_devices(),
             at_hand: (0..LETTERS).map(|_| Letter::new(message_bytes)).collect(),
             returned,
             thread: Some(thread),
@@ -147,6 +154,7 @@ impl SharedMemorySink {
         };
         room.copy_from_slice(message);
         letter.length = message.len();
+        letter.posted = self.clock.now();
         match self.desk.letters.post(letter) {
             None => Ok(()),
             Some(never_shared) => {

@@ -7,12 +7,11 @@ use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
 use freespace::emit::FreeSpaceMessage;
-use freespace::port::{Clock as _, SinkMiss};
+use freespace::port::SinkMiss;
 use rtrb::Producer;
 
 use super::writer::Writer;
 use super::{Desk, LETTERS, Letter, SharingConfig, SharingError};
-use crate::clock::MonotonicClock;
 use crate::runtime::rights::{Lacks, RealTimeConfig, ThreadRole, enter};
 
 /// How often dead readers are looked for.
@@ -57,12 +56,11 @@ impl Body {
     }
 
     fn serve(&mut self, writer: &Writer) {
-        let clock = MonotonicClock::of_devices();
         let mut tidied = Instant::now();
         while let Some(letter) = self.desk.letters.wait_forewarned(|| writer.announce()) {
             let written = FreeSpaceMessage::decode_own(&letter.bytes[..letter.length])
                 .map_err(|_| SinkMiss::Refused)
-                .and_then(|message| writer.write(&message, clock.now()));
+                .and_then(|message| writer.write(&message, letter.posted));
             if written.is_err() {
                 self.desk.has_failed.store(true, Ordering::Relaxed);
             }

@@ -71,13 +71,13 @@ impl Writer {
         })
     }
 
-    /// Writes a message into a free slot, hands it to every reader, and wakes them.
-    pub(super) fn write(&self, message: &FreeSpaceMessage<'_>, now: Micros) -> Result<(), SinkMiss> {
+    /// Writes a message that was posted then into a free slot, hands it to every reader, and wakes them.
+    pub(super) fn write(&self, message: &FreeSpaceMessage<'_>, posted: Micros) -> Result<(), SinkMiss> {
         let mut sample = self.publisher.loan_uninit().map_err(|_| SinkMiss::Refused)?;
         // SAFETY: the slot lies in a mapping of this process that was zeroed when it was made, and holds nothing but messages
         // since; every bit pattern is a message, so whatever lies there is one.
         let slot = unsafe { &mut *ptr::from_mut(sample.payload_mut()).cast::<Payload>() };
-        slot.0.fill(message, now);
+        slot.0.fill(message, posted);
         // SAFETY: as above.
         let sample = unsafe { sample.assume_init() };
         sample.send().map_err(|_| SinkMiss::Refused)?;
