@@ -38,6 +38,15 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         )
         .into());
     }
+    if let Some(slow) = &args.slow
+        && slow.from.0 as f64 >= args.seconds * 1e6
+    {
+        return Err(BadInput::new(
+            format!("--slow begins after the drive, which takes {} s", args.seconds),
+            "give a second of the drive after the @, or a longer drive with --seconds",
+        )
+        .into());
+    }
     let path = args.config.clone().unwrap_or_else(|| shipped(SHIPPED));
     let config = Config::load(&path)?;
     let camera = config.camera_for(&path, 640, 480)?;
@@ -58,6 +67,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         title: format!("freespace demo, seed {}", args.seed),
         deadline_ms: config.deadline.publish_ms,
         is_reproducible: args.pace == Pace::Fast,
+        ..RunTitle::default()
     };
     let recording = Recording::create(&args.out, title)?;
     let sinks = drive::sinks(&config, args.pace, &mut network)?;
@@ -91,7 +101,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     )]
     let period_micros = (config.key_frames.interval_s * 1e6) as u64;
     let pipeline = drive::pipeline_config(&config, camera, odometer, Cadence::Micros(period_micros));
-    let mut watch = Watch::new(Progress::new(Some(frames.len())));
+    let mut watch = Watch::new(Progress::new(Some(frames.len())), drive::statistics(args.pace));
     let mut log = DriveLog::open(
         &args.mcap,
         args.pace,

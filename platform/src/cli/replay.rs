@@ -140,6 +140,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         title: format!("freespace replay {}", args.source.display()),
         deadline_ms: config.deadline.publish_ms,
         is_reproducible: args.pace == Pace::Fast,
+        ..RunTitle::default()
     };
     let recording = Recording::create(&args.out, title)?;
     let sinks = drive::sinks(&config, args.pace, &mut network)?;
@@ -148,7 +149,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         .listing()
         .map(|(index, name, _)| (index as u64, name.to_owned()))
         .collect();
-    let mut watch = Watch::new(Progress::new(Some(frames.len())));
+    let mut watch = Watch::new(Progress::new(Some(frames.len())), drive::statistics(args.pace));
     let mut log = DriveLog::open(
         &args.mcap,
         args.pace,

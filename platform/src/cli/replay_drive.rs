@@ -18,6 +18,7 @@ use crate::eval::reference::Reference;
 use crate::runtime::{self, Devices, Setup};
 use crate::sink::mcap::Losses;
 use crate::sink::recording::{Recording, Report, RunTitle};
+use crate::statistics::DriveStatistics;
 use crate::wheels::RecordedWheels;
 
 /// Replays a recorded drive, and prints what it came to.
@@ -94,11 +95,18 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         title: format!("freespace replay {}", args.source.display()),
         deadline_ms: config.deadline.publish_ms,
         is_reproducible: pace(args) == Pace::Fast,
+        is_source_cut: !recorded.cut.is_empty(),
+        has_recorded_times: args.timing == Timing::Recorded,
     };
     let recording = Recording::create(&args.out, title)?;
     let network_sha256 = network.sha256;
     let engine = network.segmenter.name().to_owned();
-    let mut watch = Watch::new(Progress::new(Some(recorded.frames.len())));
+    let statistics = match args.timing {
+        Timing::Own => drive::statistics(args.pace),
+        // The drive's own times are told again.
+        Timing::Recorded => DriveStatistics::new(),
+    };
+    let mut watch = Watch::new(Progress::new(Some(recorded.frames.len())), statistics);
     let mut log = DriveLog::open(
         &args.mcap,
         pace(args),

@@ -18,6 +18,7 @@ use crate::clock::MonotonicClock;
 use crate::config::{Config, DeviceSection, ImageSize, Wheels};
 use crate::runtime::{Devices, RunSummary, Setup};
 use crate::sink::recording::{Recording, Report, RunTitle};
+use crate::statistics::DriveStatistics;
 
 /// Drives on this computer's devices until SIGTERM or SIGINT, or for the seconds that were asked for.
 ///
@@ -31,7 +32,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     // Everything that may be refused is tried before anything is written or started.
     let mut network = drive::open_network(&config)?;
     let mut frames = V4l2Camera::open(device, size, config.camera.frame_rate_hz).map_err(BadInput::from)?;
-    let mut watch = Watch::new(Progress::new(None));
+    let mut watch = Watch::new(Progress::new(None), DriveStatistics::new());
     if let Some(mode) = frames.mode() {
         terminal::tell(format_args!("{}: {mode}", device.path.display()));
     }
@@ -174,7 +175,7 @@ impl Drive<'_> {
                 let title = RunTitle {
                     title: format!("freespace run {}", self.config.path.display()),
                     deadline_ms: self.config.deadline.publish_ms,
-                    is_reproducible: false,
+                    ..RunTitle::default()
                 };
                 let recording = Recording::create(folder, title)?;
                 let mut recorder = Recorder::new(recording, self.pipeline, BTreeMap::new(), watch);
@@ -190,7 +191,7 @@ impl Drive<'_> {
                 let mut watch = watch;
                 let summary = self.live(setup, &stop, &mut watch)?;
                 let (counts, statistics) = watch.finish(&summary);
-                Ok(Report::new(&counts, &statistics, None))
+                Ok(Report::new(&RunTitle::default(), &counts, &statistics, None))
             }
         }
     }

@@ -17,19 +17,31 @@ pub(super) fn print(report: &Report, engine: &str, out: Option<&Path>, as_json: 
     if report.is_cut_short {
         line("cut short", "a signal ended the drive".to_owned());
     }
-    if let Some(latency) = report.capture_to_publish_ms {
+    if report.is_source_cut {
+        line("recording", "cut off: what came after is in no figure".to_owned());
+    }
+    if report.has_recorded_times {
+        line(
+            "times",
+            "those of the recorded drive, not of this replay".to_owned(),
+        );
+    }
+    if report.is_timed {
         let met = report.key_frames - report.deadline_misses;
         line("deadlines met", format!("{met} of {}", report.key_frames));
+        if !report.misses_by_stage.0.is_empty() {
+            line("misses blamed on", report.misses_by_stage.line());
+        }
+    } else {
+        let text = format!("{}, as fast as it goes: no deadline applies", report.key_frames);
+        line("key frames", text);
+    }
+    if let Some(latency) = report.capture_to_publish_ms {
         let text = format!(
             "p50 {:.0}  p99 {:.0}  p99.9 {:.0}  max {:.0} ms",
             latency.p50, latency.p99, latency.p99_9, latency.max
         );
         line("capture to publish", text);
-    } else if report.key_frames > 0 {
-        let text = format!("{}, as fast as it goes: no deadline applies", report.key_frames);
-        line("key frames", text);
-    } else {
-        line("key frames", "none".to_owned());
     }
     if let Some(frame) = report.frame_ms {
         let text = format!(
@@ -45,9 +57,6 @@ pub(super) fn print(report: &Report, engine: &str, out: Option<&Path>, as_json: 
         .collect();
     line("stages, median ms", slowest.join("  "));
     line("quality", report.levels.line());
-    if !report.misses_by_stage.0.is_empty() {
-        line("misses blamed on", report.misses_by_stage.line());
-    }
     let frames = format!(
         "{} tracked of {}, {} dropped",
         report.tracked_frames, report.frames, report.dropped_frames

@@ -38,7 +38,7 @@ pub struct Publication {
     pub times: StageTimes,
     /// Where the clock cut the work short.
     pub cuts: Cuts,
-    /// From capture to publication; 0 where the frames' clock stood still meanwhile, in a replay as fast as it goes.
+    /// From capture to publication.
     pub latency_micros: u64,
     /// Whether the wanted level was not out by the deadline.
     pub is_miss: bool,
@@ -88,6 +88,8 @@ pub(crate) const LEVEL_NAMES: [&str; LEVELS.len()] = {
 /// A drive in numbers.
 #[derive(Clone, Debug)]
 pub struct DriveStatistics {
+    /// Whether frames come at the pace of their stamps, so that there are latencies and deadlines.
+    is_timed: bool,
     capture_to_publish: LatencyHistogram,
     stages: [LatencyHistogram; Stage::ALL.len()],
     frame: LatencyHistogram,
@@ -112,10 +114,20 @@ impl DriveStatistics {
     /// Memory of the whole.
     pub const BYTES: usize = size_of::<Self>() + (2 + Stage::ALL.len()) * LatencyHistogram::BYTES;
 
+    /// Of a run as fast as it goes: its clock stands still while a frame is worked on.
+    #[must_use]
+    pub fn untimed() -> Self {
+        Self {
+            is_timed: false,
+            ..Self::new()
+        }
+    }
+
     /// Allocates everything.
     #[must_use]
     pub fn new() -> Self {
         Self {
+            is_timed: true,
             capture_to_publish: LatencyHistogram::new(),
             stages: std::array::from_fn(|_| LatencyHistogram::new()),
             frame: LatencyHistogram::new(),
@@ -145,7 +157,7 @@ impl DriveStatistics {
     /// A key frame's answer, fallbacks among them, was published.
     pub fn publication(&mut self, publication: &Publication) {
         add(&mut self.key_frames);
-        if publication.latency_micros > 0 {
+        if self.is_timed {
             self.capture_to_publish.record(publication.latency_micros);
         }
         add(&mut self.levels[publication.level as usize]);

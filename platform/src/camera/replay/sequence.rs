@@ -45,7 +45,8 @@ fn images_in(folder: &Path) -> Result<Vec<(String, PathBuf)>, BadInput> {
         BadInput::of_file(
             folder,
             format!("cannot be listed: {error}"),
-            "SOURCE is a KITTI odometry folder (with image_0/ or images/) or a folder of PNG or JPEG files",
+            "SOURCE is a KITTI odometry folder (with image_0/ or images/), a folder of PNG or JPEG files, or a recording whose name \
+             ends in .mcap",
         )
     })?;
     let mut files = Vec::new();
@@ -76,7 +77,8 @@ fn images_in(folder: &Path) -> Result<Vec<(String, PathBuf)>, BadInput> {
         return Err(BadInput::of_file(
             folder,
             "holds no PNG or JPEG image",
-            "SOURCE is a KITTI odometry folder (with image_0/ or images/) or a folder of PNG or JPEG files",
+            "SOURCE is a KITTI odometry folder (with image_0/ or images/), a folder of PNG or JPEG files, or a recording whose name \
+             ends in .mcap",
         ));
     }
     if let Some(pair) = files.windows(2).find(|pair| pair[0].0 == pair[1].0) {

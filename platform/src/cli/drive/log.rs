@@ -96,11 +96,7 @@ impl DriveLog {
         let path = recorder.path().to_owned();
         let counts = recorder.finish();
         let megabytes = counts.written_bytes as f64 * 1e-6;
-        let losses = Losses {
-            dropped_frames: counts.dropped_frames,
-            dropped_messages: counts.dropped_messages,
-            lost_messages: counts.lost_messages,
-        };
+        let losses = counts.losses();
         let lacks = if losses == Losses::default() {
             "nothing is missing".to_owned()
         } else {

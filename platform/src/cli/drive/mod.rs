@@ -35,6 +35,7 @@ use crate::runtime::supervision::{end_at_once, stop_on_signals};
 use crate::runtime::{self, Observer, RunError, RunSummary, Setup};
 use crate::segmenter::{self, EngineChoice, Manifest, Segmenter};
 use crate::sink::shared_memory::{Opened, SharedMemorySink};
+use crate::statistics::DriveStatistics;
 
 /// Exit code of a process that must be started anew: an internal failure.
 const HUNG: i32 = 1;
@@ -140,6 +141,14 @@ pub(in crate::cli) fn sinks(
             ));
             Ok(Vec::new())
         }
+    }
+}
+
+/// Where a run at a pace is counted.
+pub(in crate::cli) fn statistics(pace: Pace) -> DriveStatistics {
+    match pace {
+        Pace::Real => DriveStatistics::new(),
+        Pace::Fast => DriveStatistics::untimed(),
     }
 }
 

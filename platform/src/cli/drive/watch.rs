@@ -50,9 +50,10 @@ pub(in crate::cli) struct Watch {
 }
 
 impl Watch {
-    pub(in crate::cli) fn new(progress: Progress) -> Self {
+    /// Of a run whose numbers go to `statistics`, which are empty so far.
+    pub(in crate::cli) fn new(progress: Progress, statistics: DriveStatistics) -> Self {
         Self {
-            statistics: DriveStatistics::new(),
+            statistics,
             tracked_frames: 0,
             progress,
             service: Service::from_environment(),
@@ -66,6 +67,11 @@ impl Watch {
     pub(in crate::cli) fn listen(&mut self, parts: usize, events: DeviceEvents) {
         let calm = (0..parts).map(|_| Calm::new(Instant::now())).collect();
         self.devices.push(Device { events, calm });
+    }
+
+    /// Whether frames come at the pace of their stamps.
+    pub(in crate::cli) const fn is_timed(&self) -> bool {
+        self.statistics.is_timed()
     }
 
     /// Shows the run to a monitor.

@@ -38,6 +38,13 @@ fn totals(text: &mut String, fleet: &Fleet) {
         "driven",
         format!("{:.3} km in {:.3} h", ratios.driven_km, ratios.driven_hours),
     );
+    if counts.cut_drives > 0 {
+        let text = format!(
+            "{} of {} recordings are cut off: what came after is not counted",
+            counts.cut_drives, fleet.totals.drives
+        );
+        line("incomplete", text);
+    }
     line("key frames", counts.key_frames.to_string());
     let (met, of) = (counts.deadlines_met(), counts.timed_key_frames);
     let share = percent(ratios.deadlines_met);

@@ -22,17 +22,12 @@ struct ReportFile {
     deadline_misses: u64,
     misses_by_stage: Named,
     levels: Named,
+    is_source_cut: bool,
+    is_timed: bool,
     capture_to_publish: LatencyCounts,
     frames: u64,
     tracked_frames: u64,
     dropped_frames: u64,
-}
-
-impl ReportFile {
-    /// Whether its frames came at the pace of their stamps.
-    fn is_timed(&self) -> bool {
-        self.capture_to_publish.count() != Some(0)
-    }
 }
 
 /// Counts a run; `index` and `name` are those of its drive in the list.
@@ -47,11 +42,18 @@ pub fn score_run(index: usize, name: &str, run: &Path, truth: Option<&Path>) -> 
         .filter(|path| path.is_file());
     let true_poses = true_poses.map(|path| trajectory::read(&path)).transpose()?;
     let score = true_poses.and_then(|file| trajectory::compare(&poses, &file.poses));
+    // Without a deadline there is none to miss.
+    let timed = if report.is_timed { report.key_frames } else { 0 };
     let counts = Tally {
+        cut_drives: report.is_source_cut.into(),
         key_frames: report.key_frames,
-        timed_key_frames: if report.is_timed() { report.key_frames } else { 0 },
-        deadline_misses: report.deadline_misses,
-        misses_by_stage: report.misses_by_stage,
+        timed_key_frames: timed,
+        deadline_misses: report.deadline_misses.min(timed),
+        misses_by_stage: if report.is_timed {
+            report.misses_by_stage
+        } else {
+            Named::new()
+        },
         levels: report.levels,
         capture_to_publish: report.capture_to_publish,
         frames: report.frames,
@@ -81,15 +83,11 @@ fn report(path: &Path) -> Result<ReportFile, BadInput> {
         .levels
         .values()
         .try_fold(0_u64, |sum, count| sum.checked_add(*count));
-    let (most_misses, times) = if report.is_timed() {
-        (report.key_frames, answers)
-    } else {
-        (0, Some(0))
-    };
+    let times = if report.is_timed { answers } else { Some(0) };
     let is_sound = report.capture_to_publish.is_sound()
-        && report.capture_to_publish.count() == times
         && answers.is_some()
-        && report.deadline_misses <= most_misses;
+        && report.capture_to_publish.count() == times
+        && report.deadline_misses <= report.key_frames;
     if is_sound {
         return Ok(report);
     }

@@ -16,6 +16,8 @@ pub(super) type Named = BTreeMap<String, u64>;
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tally {
+    /// Drives whose recording is cut off: what they were after that is not counted.
+    pub cut_drives: u64,
     /// Key frames that were answered.
     pub key_frames: u64,
     /// Of them, those that had a deadline: not where frames went as fast as they were worked off.
@@ -155,6 +157,7 @@ impl Tally {
     #[must_use]
     pub fn plus(mut self, other: &Self) -> Option<Self> {
         sums([
+            (&mut self.cut_drives, other.cut_drives),
             (&mut self.key_frames, other.key_frames),
             (&mut self.timed_key_frames, other.timed_key_frames),
             (&mut self.deadline_misses, other.deadline_misses),

@@ -34,6 +34,7 @@ fn drive(index: usize, seed: u64) -> DriveScore {
         name: format!("car/{index}"),
         network_sha256: (!index.is_multiple_of(3)).then(|| "aa".to_owned()),
         counts: Tally {
+            cut_drives: next(2),
             key_frames,
             timed_key_frames: key_frames,
             deadline_misses: misses,
@@ -327,13 +328,15 @@ fn a_run_of_another_version_is_told_by_file_and_line() {
         error.message().contains("report.json:2: missing field"),
         "{error}"
     );
-    let report = r#"{"key_frames": 2, "deadline_misses": 0, "misses_by_stage": {}, "levels": {"full": 2}, "frames": 3,
+    let report = r#"{"key_frames": 2, "deadline_misses": 0, "misses_by_stage": {}, "levels": {"full": 2}, "is_source_cut": false, "is_timed": true, "frames": 3,
         "tracked_frames": 3, "dropped_frames": 0, "capture_to_publish": {"max_micros": 7, "bins": {"7": 1}}}"#;
     let error = score(report).unwrap_err();
     assert!(error.message().contains("do not fit together"), "{error}");
     fs::write(folder.path().join("trajectory.kitti"), "").unwrap();
     fs::write(folder.path().join("trajectory.tum"), "# none\n").unwrap();
-    let untimed = score(&report.replace(r#"7, "bins": {"7": 1}"#, r#"0, "bins": {}"#)).unwrap();
+    let without_times = report.replace(r#"7, "bins": {"7": 1}"#, r#"0, "bins": {}"#);
+    score(&without_times).unwrap_err();
+    let untimed = score(&without_times.replace("true", "false")).unwrap();
     assert_eq!(
         (untimed.counts.key_frames, untimed.counts.timed_key_frames),
         (2, 0)

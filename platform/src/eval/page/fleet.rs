@@ -63,6 +63,9 @@ fn cards(page: &mut Page, fleet: &Fleet) {
         "",
     );
     page.card("driven", &format!("{:.1} km", ratios.driven_km), "");
+    if counts.cut_drives > 0 {
+        page.card("recordings cut off", &counts.cut_drives.to_string(), "bad");
+    }
     page.card("key frames", &counts.key_frames.to_string(), "");
     let state = if counts.deadline_misses == 0 {
         "good"

@@ -76,7 +76,7 @@ pub(super) fn draw(statistics: &DriveStatistics, deadline_ms: f64, pixels: &mut 
         histogram(&mut canvas, statistics, deadline_ms, &axis);
         marks(&mut canvas, &times, deadline_ms, &axis);
         stages(&mut canvas, statistics);
-    } else if statistics.key_frames() > 0 {
+    } else if !statistics.is_timed() {
         let said = "as fast as it goes: no deadline applies";
         canvas.text(middle, Anchor::Middle, TEXT, said, DIM);
         stages(&mut canvas, statistics);

@@ -100,8 +100,8 @@ pub struct KeyFrameRecord<'a> {
     pub level: &'a str,
     /// Whether the wanted level was out by the deadline.
     pub deadline_met: bool,
-    /// Time from capture to publication.
-    pub publish_latency_ms: f64,
+    /// Time from capture to publication; none where frames went as fast as they were worked off.
+    pub publish_latency_ms: Option<f64>,
     /// Time of each stage.
     pub times: StageTimes,
     /// CAN frames of the publication: identifier and data.
@@ -135,6 +135,10 @@ pub struct RunTitle {
     /// Whether the same input gives the same bytes: nothing that was measured is written but to `timing.csv`, `latency.png`,
     /// the report and the page.
     pub is_reproducible: bool,
+    /// Of a replay whose recording is cut off: what the drive was after that is in no figure.
+    pub is_source_cut: bool,
+    /// Of a replay that tells the times of the drive that was recorded, not its own.
+    pub has_recorded_times: bool,
 }
 
 /// A recording under way.
@@ -286,7 +290,7 @@ impl Recording {
         )]
         let published = record
             .stamp
-            .plus((record.publish_latency_ms.max(0.0) * 1e3) as u64);
+            .plus((record.publish_latency_ms.unwrap_or(0.0).max(0.0) * 1e3) as u64);
         self.can_frames(record.stamp, published, record.can_frames)
     }
 
@@ -362,7 +366,7 @@ impl Recording {
         let (width, height) = latency::draw(statistics, self.title.deadline_ms, &mut self.pixels);
         let rgb = image::ColorType::Rgb8;
         (self.folder).png("latency.png", &self.pixels, width, height, rgb)?;
-        let report = Report::new(counts, statistics, truth);
+        let report = Report::new(&self.title, counts, statistics, truth);
         let positions =
             |poses: &[Pose]| -> Vec<_> { poses.iter().map(|pose| pose.translation.vector).collect() };
         let run_positions = positions(&self.poses()?);

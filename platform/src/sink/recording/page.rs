@@ -76,7 +76,7 @@ pub(super) fn write(run: &Run<'_>) -> Result<(), RecordingError> {
 fn worst(run: &Run<'_>, scores: &Scores) -> Result<BTreeSet<usize>, RecordingError> {
     let (mut slowest, mut furthest) = (Worst::default(), Worst::default());
     for (i, row) in timing::rows(&run.folder.partial("timing.csv"))?.enumerate() {
-        slowest.offer(i, row.latency_ms);
+        slowest.offer(i, row.latency_ms.unwrap_or(0.0));
         if let Some(iou) = scores.get(&row.name) {
             furthest.offer(i, -iou);
         }
@@ -173,7 +173,18 @@ fn script_json(value: &impl serde::Serialize) -> String {
 fn cards(report: &Report) -> String {
     let mut out = String::new();
     card(&mut out, "key frames", &report.key_frames.to_string(), "");
-    if let Some(latency) = report.capture_to_publish_ms {
+    if report.is_source_cut {
+        card(
+            &mut out,
+            "recording: what came after is in no figure",
+            "cut off",
+            "bad",
+        );
+    }
+    if report.has_recorded_times {
+        card(&mut out, "deadlines and times", "the recorded drive's", "");
+    }
+    if report.is_timed {
         let misses = report.deadline_misses;
         card(
             &mut out,
@@ -181,6 +192,8 @@ fn cards(report: &Report) -> String {
             &misses.to_string(),
             if misses == 0 { "good" } else { "bad" },
         );
+    }
+    if let Some(latency) = report.capture_to_publish_ms {
         card(
             &mut out,
             "capture to publish, median",

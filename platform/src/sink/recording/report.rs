@@ -2,6 +2,7 @@
 
 use serde::{Serialize, Serializer};
 
+use super::RunTitle;
 use crate::eval::Truth;
 use crate::statistics::{Counts, DriveStatistics, Drops, LatencyCounts, Percentiles};
 
@@ -60,7 +61,13 @@ pub struct Report {
     pub frames: u64,
     /// Heap allocations after start.
     pub allocations_after_start: Option<u64>,
-    /// Time from capture to publication; null without key frames, and where frames went as fast as they were worked off.
+    /// Of a replay whose recording is cut off: what the drive was after that is in no figure.
+    pub is_source_cut: bool,
+    /// Of a replay: deadlines and times are those of the drive that was recorded.
+    pub has_recorded_times: bool,
+    /// Whether frames came at the pace of their stamps; else there are no latencies, and no deadline applies.
+    pub is_timed: bool,
+    /// Time from capture to publication; null without key frames, and where nothing was timed.
     pub capture_to_publish_ms: Option<Percentiles>,
     /// The same times as counts, which add up over drives.
     pub capture_to_publish: LatencyCounts,
@@ -100,7 +107,12 @@ fn as_map<S: Serializer>(stages: &[(&'static str, Percentiles)], serializer: S) 
 impl Report {
     /// The report of a run.
     #[must_use]
-    pub fn new(counts: &RunCounts, statistics: &DriveStatistics, truth: Option<Truth>) -> Self {
+    pub fn new(
+        title: &RunTitle,
+        counts: &RunCounts,
+        statistics: &DriveStatistics,
+        truth: Option<Truth>,
+    ) -> Self {
         Self {
             key_frames: counts.key_frames,
             deadline_misses: counts.deadline_misses,
@@ -108,6 +120,9 @@ impl Report {
             tracked_frames: counts.tracked_frames,
             frames: counts.frames,
             allocations_after_start: counts.allocations_after_start,
+            is_source_cut: title.is_source_cut,
+            has_recorded_times: title.has_recorded_times,
+            is_timed: statistics.is_timed(),
             capture_to_publish_ms: statistics.capture_to_publish().percentiles(),
             capture_to_publish: LatencyCounts::of(statistics.capture_to_publish()),
             stages_ms: statistics.stages_ms(),

@@ -42,6 +42,7 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
             is_reproducible: true,
             title: "a <run>".to_owned(),
             deadline_ms: 500.0,
+            ..RunTitle::default()
         },
     )?;
     let mut statistics = DriveStatistics::new();
@@ -94,7 +95,7 @@ fn record(dir: &Path) -> Result<Report, RecordingError> {
             world_from_vehicle: Pose::identity(),
             level: level.name(),
             deadline_met,
-            publish_latency_ms: latency_micros as f64 / 1e3,
+            publish_latency_ms: Some(latency_micros as f64 / 1e3),
             times,
             outlines: &[[(-10.0, 5.0), (100.0, f32::NAN)], [(-10.0, 5.0), (100.0, 20.0)]],
         })?;
@@ -361,11 +362,11 @@ fn a_long_run_shows_a_part_of_its_key_frames_misses_and_the_worst() {
                 world_from_vehicle: Pose::identity(),
                 level: "full",
                 deadline_met: !is_miss,
-                publish_latency_ms: if (200..204).contains(&i) && i != 202 {
+                publish_latency_ms: Some(if (200..204).contains(&i) && i != 202 {
                     i as f64
                 } else {
                     1.0
-                },
+                }),
                 times: StageTimes::default(),
                 can_frames: &[],
                 outlines: &[],

@@ -41,14 +41,16 @@ impl TimingFile {
             .times
             .0
             .map(|micros| format!(",{:.3}", micros as f64 * 1e-3));
+        // Without a latency there is no deadline either.
+        let (latency, met) = record.publish_latency_ms.map_or_else(Default::default, |ms| {
+            (format!("{ms:.3}"), u8::from(record.deadline_met).to_string())
+        });
         self.rows += 1;
         self.file.line(format_args!(
-            "{},{},{:.3},{},{}{}",
+            "{},{},{latency},{},{met}{}",
             record.name,
             Seconds(record.stamp),
-            record.publish_latency_ms,
             record.level,
-            u8::from(record.deadline_met),
             times.concat()
         ))
     }
@@ -69,7 +71,7 @@ impl TimingFile {
 pub(super) struct Row {
     pub(super) name: String,
     pub(super) time: String,
-    pub(super) latency_ms: f64,
+    pub(super) latency_ms: Option<f64>,
     pub(super) level: String,
     pub(super) met: bool,
     pub(super) stages_ms: Vec<f64>,
@@ -84,9 +86,12 @@ impl Row {
         }
         stages_ms.reverse();
         Some(Self {
-            met: columns.next()? == "1",
+            met: columns.next()? != "0",
             level: columns.next()?.to_owned(),
-            latency_ms: columns.next()?.parse().ok()?,
+            latency_ms: match columns.next()? {
+                "" => None,
+                text => Some(text.parse().ok()?),
+            },
             time: columns.next()?.to_owned(),
             name: columns.next()?.to_owned(),
             stages_ms,
@@ -110,8 +115,10 @@ mod tests {
     fn a_name_may_hold_a_comma() {
         let row = Row::parse("a,b,0.500000,45.250,full,1,0.1,2,3,4,5,6,7,8").unwrap();
         assert_eq!((row.name.as_str(), row.time.as_str()), ("a,b", "0.500000"));
-        assert_eq!((row.latency_ms, row.met), (45.25, true));
+        assert_eq!((row.latency_ms, row.met), (Some(45.25), true));
         assert_eq!(row.stages_ms, [0.1, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
+        let untimed = Row::parse("a,0.500000,,full,,0.1,2,3,4,5,6,7,8").unwrap();
+        assert_eq!((untimed.latency_ms, untimed.met), (None, true));
         assert_eq!(Row::parse("name,1,2"), None);
     }
 }
