@@ -24,7 +24,7 @@ export const LAYERS = {
 
 /** Fills the legend of a layer. */
 export function legend(list, layer) {
-  list.replaceChildren(...LAYERS[layer].map(([name, text]) => {
+  list.replaceChildren(...[...LAYERS[layer], ["edge", "how far it is free"]].map(([name, text]) => {
     const item = document.createElement("li");
     const mark = document.createElement("i");
     mark.style.background = colour(name);
