@@ -1,7 +1,7 @@
 //! The output folder: taken safely, filled beside its final place, published at the end.
 
 use std::fmt;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -37,6 +37,8 @@ pub(super) struct OutputFolder {
     dir: PathBuf,
     partial: PathBuf,
     created: bool,
+    /// Locked: no other run fills the same folder. It goes last.
+    _lock: File,
 }
 
 impl OutputFolder {
@@ -50,6 +52,8 @@ impl OutputFolder {
             let fix = "name a folder after --out that you may write to";
             BadInput::of_file(dir, format!("cannot be made: {error}"), fix)
         };
+        fs::create_dir_all(dir).map_err(refused)?;
+        let lock = locked(dir)?;
         if partial.exists() {
             fs::remove_dir_all(&partial).map_err(refused)?;
         }
@@ -60,6 +64,7 @@ impl OutputFolder {
             dir: dir.to_owned(),
             partial,
             created,
+            _lock: lock,
         })
     }
 
@@ -180,6 +185,22 @@ impl Write for LineFile {
 
     fn flush(&mut self) -> io::Result<()> {
         self.file.flush()
+    }
+}
+
+/// The folder, locked by this run for as long as it is open; where locks are not to be had, open alone.
+fn locked(dir: &Path) -> Result<File, BadInput> {
+    let folder = File::open(dir).map_err(|error| {
+        let fix = "name a folder after --out that you may write to";
+        BadInput::of_file(dir, format!("cannot be used as a folder: {error}"), fix)
+    })?;
+    match folder.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(BadInput::of_file(
+            dir,
+            "is being written to by another run",
+            "name another folder after --out, or wait until that run has ended",
+        )),
+        _ => Ok(folder),
     }
 }
 

@@ -226,6 +226,21 @@ fn page_stands_alone() {
 }
 
 #[test]
+fn two_runs_do_not_fill_one_folder() {
+    let parent = tempfile::tempdir().unwrap();
+    let dir = parent.path().join("run");
+    let first = Recording::create(&dir, RunTitle::default()).unwrap();
+    let refused = Recording::create(&dir, RunTitle::default()).unwrap_err();
+    assert!(
+        refused.to_string().contains("written to by another run"),
+        "{refused}"
+    );
+    let finished = first.finish(&RunCounts::default(), &DriveStatistics::new(), None);
+    finished.unwrap();
+    Recording::create(&dir, RunTitle::default()).unwrap();
+}
+
+#[test]
 fn earlier_run_is_replaced_and_foreign_files_are_refused() {
     let parent = tempfile::tempdir().unwrap();
     let dir = parent.path().join("run");
