@@ -201,6 +201,18 @@ pub(crate) fn no_answer(rig: &Rig, listener: &Listener, module: &Module, late_mi
 /// Faults of the machine rather than of the drive: a bench without real-time rights is one all the same.
 pub(crate) const STANDING: Faults = Faults::RIGHTS_LACKING;
 
+/// What one answer of a case may name beside its fault: two kernels share a machine, and one may lose some frames' time to the
+/// other without either standing still.
+pub(crate) fn late_once(answers: &[&Heard]) -> Faults {
+    const LATE: Faults = Faults(Faults::MAP_LATE.0 | Faults::NETWORK_LATE.0 | Faults::CUT_STOPPED.0);
+    let is_late = |heard: &&&Heard| heard.faults.0 & LATE.0 != 0;
+    if answers.iter().filter(is_late).count() <= 1 {
+        LATE
+    } else {
+        Faults::NONE
+    }
+}
+
 /// What these answers may name without a fault: the road shows hardly enough landmarks of itself at places, so that a plane is
 /// held now and then, a few in a hundred.
 pub(crate) fn ordinary(answers: &[&Heard]) -> Faults {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use freespace::health::{Faults, QualityLevel};
 use freespace_platform::world::Slip;
 
-use crate::bench::{Bench, BenchError, Rig, STANDING, ordinary};
+use crate::bench::{Bench, BenchError, Rig, STANDING, late_once, ordinary};
 use crate::case::Seen;
 use crate::clock::now_micros;
 use crate::listener::{Heard, candump};
@@ -84,7 +84,8 @@ pub(crate) fn drive(rig: &Rig, script: &Script) -> Result<Seen, BenchError> {
     let missing = Faults(script.named.0 & !named.0);
     seen.require(missing.is_empty(), format!("no answer named {}", names(missing)));
     let named = during.iter().fold(Faults::NONE, |all, heard| all | heard.faults);
-    let strange = Faults(named.0 & !(script.named | script.allowed | ordinary(&during)).0);
+    let allowed = script.named | script.allowed | ordinary(&during) | late_once(&during);
+    let strange = Faults(named.0 & !allowed.0);
     seen.require_in_peace(strange.is_empty(), format!("{} was named", names(strange)));
     let marked = during
         .iter()

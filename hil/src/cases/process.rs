@@ -1,5 +1,6 @@
 //! The process: its start, its ends, its clock, its disk, and a long drive.
 
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use freespace::health::{Faults, QualityLevel};
@@ -62,6 +63,13 @@ pub(crate) const CASES: &[Case] = &[
         required: "good grids again within 10 s of the new start",
         is_quick: true,
         run: sigkill,
+    },
+    Case {
+        name: "killed-readers",
+        injected: "a hundred readers of shared memory, each killed within 0.2 s of its start",
+        required: "no fault is named, memory flat",
+        is_quick: true,
+        run: killed_readers,
     },
     Case {
         name: "disk-full",
@@ -246,10 +254,40 @@ fn disk_full(rig: &Rig) -> Result<Seen, BenchError> {
     Ok(seen)
 }
 
+fn killed_readers(rig: &Rig) -> Result<Seen, BenchError> {
+    let bench = Bench::start(rig, &[], None)?;
+    let mut seen = Seen::default();
+    std::thread::sleep(Duration::from_secs(5));
+    let before = bench.module.resident_kb();
+    for life in 0..100 {
+        let mut reader = Command::new(&rig.installation.program)
+            .args(["monitor", "--json"])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()?;
+        // Anywhere in its start and its first messages.
+        std::thread::sleep(Duration::from_millis(10 + life * 37 % 190));
+        reader.kill()?;
+        reader.wait()?;
+    }
+    flat_since(before, &bench, &mut seen);
+    all_good_since(&bench, bench.first.at_micros, &mut seen);
+    finish(bench, Blind::default(), Ending::Well, seen)
+}
+
 /// Share of a soak's answers that may be less than good, and say so: few machines leave a test alone for ten minutes.
 const RARE: f64 = 0.02;
 /// Growth of the resident memory that is noise, kB.
 const FLAT_KB: u64 = 1024;
+
+/// The module's resident memory has not grown.
+fn flat_since(before: Option<u64>, bench: &Bench, seen: &mut Seen) {
+    if let (Some(before), Some(after)) = (before, bench.module.resident_kb()) {
+        let growth = after.saturating_sub(before);
+        seen.note(format!("memory grew by {growth} kB of {after}"));
+        seen.require(growth < FLAT_KB, format!("memory grew by {growth} kB"));
+    }
+}
 
 fn soak(rig: &Rig, seconds: u64, rare: f64) -> Result<Seen, BenchError> {
     let bench = Bench::start(rig, &[], None)?;
@@ -257,12 +295,7 @@ fn soak(rig: &Rig, seconds: u64, rare: f64) -> Result<Seen, BenchError> {
     std::thread::sleep(Duration::from_secs(10));
     let before = bench.module.resident_kb();
     std::thread::sleep(Duration::from_secs(seconds.saturating_sub(10)));
-    let after = bench.module.resident_kb();
-    if let (Some(before), Some(after)) = (before, after) {
-        let growth = after.saturating_sub(before);
-        seen.note(format!("memory grew by {growth} kB of {after}"));
-        seen.require(growth < FLAT_KB, format!("memory grew by {growth} kB"));
-    }
+    flat_since(before, &bench, &mut seen);
     good_since(&bench, bench.first.at_micros, rare, &mut seen);
     finish(bench, Blind::default(), Ending::Well, seen)
 }
