@@ -96,7 +96,6 @@ fn read(name: &str, is_real_time: bool) {
         "normal priority".to_owned()
     };
     let mut micros = Vec::with_capacity(MESSAGES);
-    let mut written = Vec::with_capacity(MESSAGES);
     let mut missed = 0;
     let mut last = None;
     while micros.len() < MESSAGES {
@@ -106,20 +105,14 @@ fn read(name: &str, is_real_time: bool) {
         let latency = monotonic_now().since(freespace::space::Micros(message.publish_micros));
         if message.sequence >= WARM {
             micros.push(latency);
-            written.push(message.handed_over_micros - message.publish_micros);
             missed += last.map_or(0, |last: u64| message.sequence - last - 1);
             last = Some(message.sequence);
         }
     }
     micros.sort_unstable();
-    written.sort_unstable();
     let at = |part: f64| micros[index(micros.len(), part)];
-    let written_at = |part: f64| written[index(written.len(), part)];
     println!(
-        "sharing thread at work: p50 {} us  p99 {} us  max {} us\nreader at {scheduling}: p50 {} us  p99 {} us  max {} us  ({MESSAGES} messages, {missed} missed)",
-        written_at(0.5),
-        written_at(0.99),
-        written_at(1.0),
+        "reader at {scheduling}: p50 {} us  p99 {} us  max {} us  ({MESSAGES} messages, {missed} missed)",
         at(0.5),
         at(0.99),
         at(1.0)
