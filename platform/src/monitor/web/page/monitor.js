@@ -197,6 +197,8 @@ async function poll() {
     drawAll();
   } catch {
     pill(id("link"), "monitor gone", "bad");
+    id("level").hidden = true;
+    document.body.classList.add("stale");
     alarm("The monitor does not answer: what is shown is old. Start freespace monitor again.");
   }
 }
