@@ -68,7 +68,7 @@ pub struct LateWork {
     pub frame: u64,
     /// Capture stamp.
     pub stamp: Micros,
-    /// From the capture until the publisher heard of it.
+    /// From the capture until the publisher heard of its answer, or until it was given up.
     pub micros: u64,
     /// Time of each stage.
     pub times: StageTimes,

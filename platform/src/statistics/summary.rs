@@ -22,7 +22,7 @@ pub struct Drops {
     pub hand_over: Option<u64>,
     /// Publications and frames that the observer was too slow to see: neither recorded nor measured against truth.
     pub unobserved: Option<u64>,
-    /// Of them, those of which not even the numbers were seen: a recording lacks them, and knows it.
+    /// Frames, publications and late work of which not even the numbers reached the observer: a recording lacks them, and says so.
     pub unreported: Option<u64>,
     /// Instants of the cadence that nothing answered, for the publisher itself did not run.
     pub unanswered: Option<u64>,

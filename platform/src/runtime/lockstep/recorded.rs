@@ -30,7 +30,8 @@ pub struct KeyFrameTimes {
     pub faults: Faults,
     /// From capture to publication.
     pub latency_micros: u64,
-    /// Where a fallback left in place of its answer: from capture until the publisher heard of the work on it.
+    /// Where a fallback left in place of its answer: from the capture until the publisher heard of the work on it, or until that was
+    /// given up.
     pub heard_micros: Option<u64>,
 }
 

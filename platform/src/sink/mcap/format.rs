@@ -148,7 +148,7 @@ const KEY_FRAME_SCHEMA: &str = r#"{"type":"object","properties":{"frame":{"type"
 "stage_micros":{"type":"array","items":{"type":"integer"},"description":"frame, track, map, priors, segmentation, crf, grid, emit"},
 "refused":{"type":"integer"},"stopped_after":{"type":"array","items":{"type":["integer","null"]}}}}"#;
 const LATE_WORK_SCHEMA: &str = r#"{"type":"object","properties":{"frame":{"type":"integer"},"stamp_micros":{"type":"integer"},
-"micros":{"type":"integer","description":"from the capture until the publisher heard of it"},
+"micros":{"type":"integer","description":"from the capture until the publisher heard of its answer, or until it was given up"},
 "faults":{"type":"array","items":{"type":"string"}},"stage_micros":{"type":"array","items":{"type":"integer"}},
 "refused":{"type":"integer"},"stopped_after":{"type":"array","items":{"type":["integer","null"]}}}}"#;
 const CAN_SCHEMA: &str = r#"{"type":"object","properties":{"frames":{"type":"array","items":{"type":"object","properties":{
@@ -274,7 +274,7 @@ pub struct LateWorkNote {
     pub frame: u64,
     /// Capture stamp.
     pub stamp_micros: u64,
-    /// From capture until the publisher heard of it.
+    /// From the capture until the publisher heard of its answer, or until it was given up.
     pub micros: u64,
     /// Its faults.
     pub faults: Vec<String>,
