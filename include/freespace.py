@@ -24,6 +24,7 @@ LEVEL_MOVED = 4
 LEVEL_INVALID = 5
 # Where the service's files lie, and the version of iceoryx2 that lays them out.
 FOLDER = "/dev/shm/freespace"
+PREFIX = "freespace_"
 ICEORYX2 = "0.10.0"
 OK = 0
 NOTHING = 1

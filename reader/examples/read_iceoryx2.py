@@ -45,6 +45,11 @@ def check_version():
 def make_node():
     config = iceoryx2.config.default()
     config.global_cfg.root_path = iceoryx2.Path.new(freespace.FOLDER)
+    config.global_cfg.prefix = iceoryx2.FileName.new(freespace.PREFIX)
+    # The module alone clears away what dead readers left: one that is killed over it would leave it for ever.
+    config.global_cfg.node.cleanup_dead_nodes_on_creation = False
+    config.global_cfg.node.cleanup_dead_nodes_on_destruction = False
+    config.global_cfg.service.cleanup_dead_nodes_on_open = False
     # Disabled: Ctrl-C is Python's.
     disabled = iceoryx2.SignalHandlingMode.Disabled
     return iceoryx2.NodeBuilder.new().config(config).signal_handling_mode(disabled).create(iceoryx2.ServiceType.Ipc)

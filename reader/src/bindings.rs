@@ -11,7 +11,7 @@ use freespace::grid::Grid;
 use freespace::health::{Faults, QualityLevel};
 
 use crate::c::CODES;
-use crate::service::{FOLDER, ICEORYX2, PAYLOAD_NAME};
+use crate::service::{FOLDER, ICEORYX2, PAYLOAD_NAME, PREFIX};
 
 const C_BEGIN: &str = r#"/* The free-space message in shared memory, and its reader. Made by `cargo run -p freespace-reader --example write_bindings`.
  *
@@ -254,7 +254,10 @@ pub fn python_module() -> String {
         text,
         "# Where the service's files lie, and the version of iceoryx2 that lays them out."
     );
-    let _ = writeln!(text, "FOLDER = \"{FOLDER}\"\nICEORYX2 = \"{ICEORYX2}\"");
+    let _ = writeln!(
+        text,
+        "FOLDER = \"{FOLDER}\"\nPREFIX = \"{PREFIX}\"\nICEORYX2 = \"{ICEORYX2}\""
+    );
     for (name, code, _) in CODES {
         let _ = writeln!(text, "{name} = {code}");
     }

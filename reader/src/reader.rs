@@ -6,11 +6,14 @@ use std::time::Instant;
 
 use freespace::emit::SharedMessage;
 use freespace::space::Micros;
-use iceoryx2::node::Node;
+use iceoryx2::node::{Node, NodeState};
 use iceoryx2::port::listener::ListenerCreateError;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample::Sample;
+use iceoryx2::service::port_factory::PortFactory as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::service_name::ServiceName;
 
 use crate::error::ReaderError;
@@ -58,6 +61,9 @@ impl Reader {
             .service_builder(&name)
             .publish_subscribe::<Payload>()
             .open()?;
+        if !is_served(&messages) {
+            return Err(ReaderError::NoModule);
+        }
         let subscriber = messages
             .subscriber_builder()
             .buffer_size(READER_BUFFER)
@@ -106,6 +112,22 @@ impl Reader {
         }
         Ok(())
     }
+}
+
+/// Whether a module that lives publishes here: the service of one that was killed stays until the next one takes it over.
+fn is_served(messages: &PortFactory<Ipc, Payload, ()>) -> bool {
+    let mut module = None;
+    messages.dynamic_config().list_publishers(|publisher| {
+        module = Some(publisher.node_id);
+        CallbackProgression::Stop
+    });
+    let mut is_dead = false;
+    // What cannot be told is no reason against it.
+    let _ = messages.nodes(|node| {
+        is_dead |= Some(*node.node_id()) == module && matches!(node, NodeState::Dead(_));
+        CallbackProgression::Continue
+    });
+    module.is_some() && !is_dead
 }
 
 /// `CLOCK_MONOTONIC` now, for [`SharedMessage::age_micros`].

@@ -66,16 +66,29 @@ impl Debug for Payload {
 pub const FOLDER: &str = "/dev/shm/freespace";
 /// Its part for the nodes.
 pub const NODES: &str = "/dev/shm/freespace/nodes";
+/// Where memory lies.
+pub const MEMORY: &str = "/dev/shm";
+/// How every file's name begins: memory of other programs that use the library is another's.
+pub const PREFIX: &str = "freespace_";
 
 fn config() -> Config {
     let mut config = Config::default();
     if let Ok(folder) = Path::new(FOLDER.as_bytes()) {
         config.global.set_root_path(&folder);
     }
+    if let Ok(prefix) = FileName::new(PREFIX.as_bytes()) {
+        config.global.prefix = prefix;
+    }
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.service.cleanup_dead_nodes_on_open = false;
     config
 }
 
 /// A node for one process's part in the service. It leaves the process's signals alone, and no file of settings changes it.
+///
+/// It clears nothing away of what dead processes left: the module does, where it is ready to. A process that is killed while it
+/// clears away leaves what nobody clears away again, and readers are killed as they come and go.
 ///
 /// # Errors
 /// `/dev/shm` or the folder of the services cannot be written to.

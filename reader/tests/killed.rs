@@ -4,12 +4,13 @@
 
 mod module;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use freespace_platform::runtime::memory::ProcessMemory;
 use freespace_reader::Reader;
+use freespace_reader::service::{MEMORY, PREFIX};
 use module::Module;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -49,27 +50,31 @@ fn signal(child: &Child, signal: Signal) {
     let _ = kill_process(Pid::from_child(child), signal);
 }
 
-/// What the module holds.
-#[derive(Clone, Copy, Debug)]
+/// What the module holds, by name.
+#[derive(Clone, Debug)]
 struct Held {
-    files: usize,
+    files: Vec<PathBuf>,
     /// Entries of `/dev/shm`: memory, sockets and services. Nodes in the making when they were killed stay for a minute, and
-    /// are not counted. None while other processes have theirs there: an entry does not say whose it is.
-    entries: Option<usize>,
+    /// are not told. None while other processes have theirs there: an entry does not say whose it is.
+    entries: Option<Vec<PathBuf>>,
 }
 
 fn held() -> Held {
+    let files = std::fs::read_dir("/proc/self/fd").unwrap();
     Held {
-        files: std::fs::read_dir("/proc/self/fd").unwrap().count(),
-        entries: (!others_share()).then(|| entries("/dev/shm".into())),
+        files: files
+            .filter_map(|file| std::fs::read_link(file.ok()?.path()).ok())
+            .collect(),
+        entries: (!others_share()).then(|| entries(MEMORY.as_ref())),
     }
 }
 
 impl Held {
     /// Whether no more is held than was `before`; entries count where they were this test's alone both times.
     fn is_within(&self, before: &Self) -> bool {
-        let entries = self.entries.zip(before.entries);
-        self.files <= before.files && entries.is_none_or(|(now, before)| now <= before)
+        let entries = self.entries.as_ref().zip(before.entries.as_ref());
+        self.files.len() <= before.files.len()
+            && entries.is_none_or(|(now, before)| now.len() <= before.len())
     }
 }
 
@@ -89,22 +94,24 @@ fn others_share() -> bool {
         .filter(is_other)
         .any(|entry| {
             std::fs::read_to_string(entry.path().join("maps"))
-                .is_ok_and(|maps| maps.contains("/dev/shm/iox2_"))
+                .is_ok_and(|maps| maps.contains(&format!("{MEMORY}/{PREFIX}")))
         })
 }
 
-fn entries(folder: PathBuf) -> usize {
-    let Ok(listing) = std::fs::read_dir(folder) else {
-        return 0;
-    };
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let listing = std::fs::read_dir(folder).into_iter().flatten();
     listing
         .filter_map(Result::ok)
         .filter(|entry| entry.file_name() != "nodes")
-        .map(|entry| {
-            let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
-            1 + if is_folder { entries(entry.path()) } else { 0 }
+        .flat_map(|entry| {
+            let below = if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+                entries(&entry.path())
+            } else {
+                Vec::new()
+            };
+            core::iter::once(entry.path()).chain(below)
         })
-        .sum()
+        .collect()
 }
 
 /// Publishes `count` messages, 5 ms apart: a hundred times as often as a module does.
@@ -140,7 +147,7 @@ fn a_hundred_readers_that_hang_or_are_killed_leave_nothing_behind() {
     for _ in 0..READERS {
         let mut child = reader(&name);
         drive(&mut module, random.below(16));
-        connected += u32::from(held().files > before.files);
+        connected += u32::from(held().files.len() > before.files.len());
         if random.below(3) == 0 {
             signal(&child, Signal::STOP);
             if let Some(mut earlier) = hanging.replace(child) {
@@ -157,10 +164,10 @@ fn a_hundred_readers_that_hang_or_are_killed_leave_nothing_behind() {
         last.kill().unwrap();
         last.wait().unwrap();
     }
-    settle(&mut module, Some(before));
+    settle(&mut module, Some(&before));
     let grown = ProcessMemory::now().resident_growth_since(&memory);
     println!(
-        "{READERS} readers, {connected} times at least one of them connected: {:?} where there was {before:?}, {grown} bytes more",
+        "{READERS} readers, {connected} times at least one of them connected, {grown} bytes more; held at last: {:#?}, before: {before:#?}",
         held()
     );
     assert!(
@@ -191,11 +198,11 @@ fn open(module: &mut Module, name: &str) -> Reader {
 }
 
 /// Publishes on until no more is held than was `before`, or for as long as it takes to find dead readers.
-fn settle(module: &mut Module, before: Option<Held>) {
+fn settle(module: &mut Module, before: Option<&Held>) {
     for _ in 0..SETTLING {
         drive(module, 1);
         let now = held();
-        if before.is_some_and(|before| now.is_within(&before)) {
+        if before.is_some_and(|before| now.is_within(before)) {
             if before.is_some_and(|before| before.entries.is_some()) && now.entries.is_none() {
                 eprintln!(
                     "SKIPPED: entries of /dev/shm after killed readers: another process has a service there"
@@ -208,5 +215,5 @@ fn settle(module: &mut Module, before: Option<Held>) {
         }
     }
     let now = held();
-    assert!(before.is_none(), "{now:?}, {before:?} before");
+    assert!(before.is_none(), "{now:#?}, before: {before:#?}");
 }

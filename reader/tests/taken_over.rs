@@ -55,6 +55,8 @@ fn a_module_takes_over_from_one_that_was_killed() {
     child.kill().unwrap();
     child.wait().unwrap();
     while reader.next(Duration::ZERO).unwrap().is_some() {}
+    // What it published is nobody's word any more.
+    assert_eq!(Reader::open(&name).err(), Some(ReaderError::NoModule));
     let mut module = Module::open(&name, MAX_READERS).unwrap();
     // Far from what the first one counted.
     module.sequence = first + 1_000_000;

@@ -13,7 +13,7 @@ use iceoryx2::service::service_name::ServiceName;
 
 use super::picture::{Painter, PictureSource};
 use super::{MAX_READERS, MAX_VIEW_BYTES, ViewStatus, encode, service_name};
-use crate::sink::shared_memory::{SharingConfig, SharingError};
+use crate::sink::shared_memory::{SharingConfig, SharingError, clear_away};
 
 /// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
 const SPARE_NODES: usize = 4;
@@ -36,6 +36,7 @@ impl ViewWriter {
     pub fn open(config: &SharingConfig) -> Result<Self, SharingError> {
         let name = ServiceName::new(&service_name(&config.name)).map_err(|_| SharingError::Name)?;
         let node = service::node()?;
+        clear_away(node.config());
         let views = node
             .service_builder(&name)
             .publish_subscribe::<[u8]>()

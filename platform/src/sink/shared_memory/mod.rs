@@ -14,11 +14,13 @@ mod thread;
 mod writer;
 
 pub use error::SharingError;
+pub(crate) use leftovers::clear_away;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use freespace::emit::{CanFrame, SHARED_BYTES};
 use freespace::health::Faults;
@@ -34,6 +36,9 @@ use crate::view;
 
 /// Boxes that circulate: one at hand, one waiting, one being written.
 const LETTERS: usize = 3;
+
+/// How long the sharing thread may take to come to its end.
+const CLOSING: Duration = Duration::from_secs(1);
 
 /// Bytes that the service itself takes besides the messages: its lists of readers and slots, its event.
 const SERVICE_BYTES: u64 = 1 << 20;
@@ -184,10 +189,17 @@ impl SinkPort for SharedMemorySink {
 }
 
 impl Drop for SharedMemorySink {
-    /// The last message is shared before the service goes.
+    /// The last message is shared before the service goes. A library that hangs over it is left to the end of the process.
     fn drop(&mut self) {
         self.desk.letters.close();
-        if let Some(thread) = self.thread.take() {
+        let Some(thread) = self.thread.take() else {
+            return;
+        };
+        let until = Instant::now() + CLOSING;
+        while !thread.is_finished() && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if thread.is_finished() {
             let _ = thread.join();
         }
     }

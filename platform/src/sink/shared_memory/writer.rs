@@ -3,8 +3,6 @@
 //! It stays on the thread that opened it.
 
 use core::ptr;
-use std::path::Path;
-use std::time::Duration;
 
 use freespace::emit::FreeSpaceMessage;
 use freespace::port::SinkMiss;
@@ -22,10 +20,7 @@ use iceoryx2::service::service_name::ServiceName;
 use super::{SharingConfig, SharingError, leftovers};
 
 /// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
-const SPARE_NODES: usize = 4;
-
-/// What is not whole after this time never will be: it takes milliseconds.
-const IN_THE_MAKING: Duration = Duration::from_secs(60);
+const SPARE_NODES: usize = 16;
 
 pub(super) struct Writer {
     publisher: Publisher<Ipc, Payload, ()>,
@@ -39,6 +34,7 @@ impl Writer {
     pub(super) fn open(config: &SharingConfig) -> Result<Self, SharingError> {
         let name = ServiceName::new(&config.name).map_err(|_| SharingError::Name)?;
         let node = service::node()?;
+        leftovers::clear_away(node.config());
         let events = node
             .service_builder(&name)
             .event()
@@ -95,8 +91,6 @@ impl Writer {
 
     /// Clears away what readers that died left behind, without waiting for anything.
     pub(super) fn tidy(&self) {
-        let _ = self.node.try_cleanup_dead_nodes();
-        leftovers::sweep(Path::new(service::NODES), IN_THE_MAKING);
-        leftovers::sweep_listeners(Path::new(service::FOLDER), Path::new("/dev/shm"), IN_THE_MAKING);
+        leftovers::clear_away(self.node.config());
     }
 }
