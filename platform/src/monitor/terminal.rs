@@ -108,8 +108,9 @@ pub fn draw(frame: &mut Frame<'_>, state: &State, now: Now, layer: Layer, note: 
 }
 
 fn panels(frame: &mut Frame<'_>, area: Rect, snapshot: &Snapshot) {
+    // In a window of 80 x 24 the bars are low, and the newest misses show.
     let [state, latency, misses] =
-        Split::vertical([Constraint::Length(12), Constraint::Length(8), Constraint::Min(0)]).areas(area);
+        Split::vertical([Constraint::Length(10), Constraint::Max(8), Constraint::Min(6)]).areas(area);
     let block = Block::bordered().title("State");
     let lines = match &snapshot.message {
         Some(message) => facts(message, snapshot),
@@ -126,7 +127,7 @@ fn panels(frame: &mut Frame<'_>, area: Rect, snapshot: &Snapshot) {
     let block = Block::bordered().title(format!("Misses: {}", snapshot.totals.misses));
     frame.render_widget(
         Paragraph::new(miss_lines(snapshot))
-            .wrap(Wrap { trim: true })
+            .wrap(Wrap { trim: false })
             .block(block),
         misses,
     );
@@ -186,19 +187,28 @@ fn facts(message: &MessageView, snapshot: &Snapshot) -> Vec<Line<'static>> {
     let scale_is_good = matches!(message.scale, "wheels" | "camera_height");
     let tracking_is_good = matches!(message.tracking, "good" | "standstill");
     let drops = snapshot.module.as_ref().map_or_else(
-        || format!("{} messages lost", snapshot.totals.lost),
+        || format!("{} messages", snapshot.totals.lost),
         |module| {
             format!(
-                "{} frames of {}, {} messages lost",
+                "{} of {} frames, {} messages",
                 module.dropped_frames, module.frames, snapshot.totals.lost
             )
         },
     );
     vec![
-        fact("ahead", format!("{:.1} m free", message.free_ahead_m), true),
-        fact("speed", format!("{:.1} m/s", message.speed_mps), true),
-        fact("scale", message.scale.to_owned(), scale_is_good),
-        fact("tracking", message.tracking.to_owned(), tracking_is_good),
+        fact(
+            "ahead",
+            format!(
+                "{:.1} m free, at {:.1} m/s",
+                message.free_ahead_m, message.speed_mps
+            ),
+            true,
+        ),
+        fact(
+            "tracking",
+            format!("{}, scale {}", message.tracking, message.scale),
+            tracking_is_good && scale_is_good,
+        ),
         fact("camera", message.camera.to_owned(), message.camera == "good"),
         fact(
             "wheels",

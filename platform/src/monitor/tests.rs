@@ -285,13 +285,26 @@ fn the_terminal_shows_state_misses_and_the_budget() {
         "moved",
         "400 of 500 ms",
         "camera    silent",
-        "scale     held",
+        "scale held",
         "budget 500 ms",
         "Misses: 1",
         "camera 1",
-        "2 frames of 30",
+        "2 of 30 frames",
         "q end",
         "▀",
+    ] {
+        assert!(screen.contains(word), "{word}\n{screen}");
+    }
+}
+
+#[test]
+fn a_terminal_of_the_usual_size_shows_the_last_misses() {
+    let screen = screen(&Stream::with_misses(), (80, 24), Layer::Occupancy);
+    for word in [
+        "by stage  camera 1",
+        "levels    full 8",
+        "400 ms  moved  camera",
+        "budget 500 ms",
     ] {
         assert!(screen.contains(word), "{word}\n{screen}");
     }
