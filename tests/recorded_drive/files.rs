@@ -11,7 +11,7 @@ use freespace::port::{CameraAnswer, CameraPort, FrameBuffer};
 use freespace::space::Micros;
 use freespace_platform::camera::replay::drive::{DriveFrames, RecordedDrive};
 use freespace_platform::runtime::{Event, FrameReport, KeyFrameReport, Observer, Trace};
-use freespace_platform::sink::mcap::{DriveRecorder, Medium, Split, part_path};
+use freespace_platform::sink::mcap::{DriveRecorder, Medium, Split, later_part_of, part_path};
 
 use crate::rig::{self, Patient};
 use crate::simulated::{self, Triangle};
@@ -102,6 +102,26 @@ fn a_recording_is_split_and_read_as_one() {
     // A part replays by itself.
     let second = read(&RecordedDrive::open(&part_path(&path, 1)).unwrap());
     assert!(frames.windows(second.len()).any(|some| some == second));
+}
+
+#[test]
+fn a_later_part_knows_its_first_one() {
+    let first = Path::new("drives/night.mcap");
+    for part in [1, 7, 1234] {
+        assert_eq!(
+            later_part_of(&part_path(first, part)),
+            Some((part, first.to_owned()))
+        );
+    }
+    for other in [
+        "night.mcap",
+        "night.01.mcap",
+        "night.000.mcap",
+        "night.old.mcap",
+        "night.001",
+    ] {
+        assert_eq!(later_part_of(Path::new(other)), None);
+    }
 }
 
 #[test]

@@ -217,9 +217,9 @@ pub struct ReplayArgs {
     /// Folder for the results; new, empty, or of an earlier run, which is replaced.
     #[arg(long, value_name = "DIR", default_value = "out/replay")]
     pub out: PathBuf,
-    /// Frames at the pace of their stamps, or as fast as they are worked off (same input, same bytes out).
-    #[arg(long, value_enum, default_value_t = Pace::Real)]
-    pub pace: Pace,
+    /// Frames at the pace of their stamps, or as fast as they are worked off (same input, same bytes out) [default: real].
+    #[arg(long, value_enum)]
+    pub pace: Option<Pace>,
     /// Whose time decides what it is too late for: nobody's, or that of the recorded drive, which degraded where it did; as fast
     /// as it goes then.
     #[arg(long, value_enum, default_value_t = Timing::Own)]
@@ -239,6 +239,17 @@ pub struct ReplayArgs {
     /// Print the report as JSON in place of the table.
     #[arg(long)]
     pub json: bool,
+}
+
+impl ReplayArgs {
+    /// The pace of the replay.
+    #[must_use]
+    pub fn pace(&self) -> Pace {
+        match self.timing {
+            Timing::Recorded => Pace::Fast,
+            Timing::Own => self.pace.unwrap_or(Pace::Real),
+        }
+    }
 }
 
 /// Truth for the report of a replay.

@@ -139,26 +139,26 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let title = RunTitle {
         title: format!("freespace replay {}", args.source.display()),
         deadline_ms: config.deadline.publish_ms,
-        is_reproducible: args.pace == Pace::Fast,
+        is_reproducible: args.pace() == Pace::Fast,
         ..RunTitle::default()
     };
     let recording = Recording::create(&args.out, title)?;
-    let sinks = drive::sinks(&config, args.pace, &mut network)?;
+    let sinks = drive::sinks(&config, args.pace(), &mut network)?;
     let engine = network.segmenter.name().to_owned();
     let names: BTreeMap<u64, String> = frames
         .listing()
         .map(|(index, name, _)| (index as u64, name.to_owned()))
         .collect();
-    let mut watch = Watch::new(Progress::new(Some(frames.len())), drive::statistics(args.pace));
+    let mut watch = Watch::new(Progress::new(Some(frames.len())), drive::statistics(args.pace()));
     let mut log = DriveLog::open(
         &args.mcap,
-        args.pace,
+        args.pace(),
         &config,
         &pipeline,
         &mut network.plan,
         &mut watch,
     )?;
-    watch.show((network.plan).measure_library("view", || ViewFeed::open(&config, &pipeline, args.pace)));
+    watch.show((network.plan).measure_library("view", || ViewFeed::open(&config, &pipeline, args.pace())));
     let mut recorder = Recorder::new(recording, &pipeline, names, watch);
     let devices = log.tap(Devices {
         camera: Box::new(ReplayFrames::new(frames, key_frames)),
@@ -177,7 +177,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
             clock: MonotonicClock::default(),
             slow: None,
         },
-        args.pace,
+        args.pace(),
         &mut log.noted(&mut recorder),
     )?;
     log.finish();

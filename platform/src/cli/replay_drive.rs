@@ -3,6 +3,7 @@
 //! Frames, wheel readings, camera and cadence are the drive's; so is the configuration, unless another one is given.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use freespace::port::{CameraPort, WheelPort};
 use freespace::track::WheelConfig;
@@ -16,7 +17,7 @@ use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
 use crate::runtime::{self, Devices, Setup};
-use crate::sink::mcap::Losses;
+use crate::sink::mcap::{Losses, later_part_of};
 use crate::sink::recording::{Recording, Report, RunTitle};
 use crate::statistics::DriveStatistics;
 use crate::wheels::RecordedWheels;
@@ -48,26 +49,9 @@ pub(super) struct Replayed {
 pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     refuse_what_is_the_drives(args)?;
     let recorded = RecordedDrive::open(&args.source)?;
-    for part in &recorded.cut {
-        eprintln!(
-            "{}: is cut off, and read up to its last whole chunk ({})",
-            part.path.display(),
-            part.cause
-        );
-    }
+    tell_what_it_is_not(&args.source, &recorded);
     if args.timing == Timing::Recorded {
         recorded.check_notes()?;
-    }
-    match recorded.losses {
-        Some(losses) if losses == Losses::default() => {}
-        Some(losses) => eprintln!(
-            "{}: while it was recorded {losses}: this is not all of the drive",
-            args.source.display()
-        ),
-        None => eprintln!(
-            "{}: does not say whether all of the drive was recorded",
-            args.source.display()
-        ),
     }
     let mut config = match &args.config {
         Some(path) => Config::load(path)?,
@@ -94,7 +78,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     let title = RunTitle {
         title: format!("freespace replay {}", args.source.display()),
         deadline_ms: config.deadline.publish_ms,
-        is_reproducible: pace(args) == Pace::Fast,
+        is_reproducible: args.pace() == Pace::Fast,
         is_source_cut: !recorded.cut.is_empty(),
         has_recorded_times: args.timing == Timing::Recorded,
     };
@@ -102,14 +86,14 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     let network_sha256 = network.sha256;
     let engine = network.segmenter.name().to_owned();
     let statistics = match args.timing {
-        Timing::Own => drive::statistics(args.pace),
+        Timing::Own => drive::statistics(args.pace()),
         // The drive's own times are told again.
         Timing::Recorded => DriveStatistics::new(),
     };
     let mut watch = Watch::new(Progress::new(Some(recorded.frames.len())), statistics);
     let mut log = DriveLog::open(
         &args.mcap,
-        pace(args),
+        args.pace(),
         &config,
         &pipeline,
         &mut network.plan,
@@ -135,7 +119,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     };
     let summary = match args.timing {
         Timing::Recorded => runtime::run_recorded(setup, recorded.times(), &mut recorder),
-        Timing::Own => drive::run(setup, args.pace, &mut log.noted(&mut recorder))?,
+        Timing::Own => drive::run(setup, args.pace(), &mut log.noted(&mut recorder))?,
     };
     log.finish();
     let report = replay::conclude(recorder, &summary, &reference)?;
@@ -147,11 +131,46 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     })
 }
 
+/// Says where the recording is not all of its drive.
+fn tell_what_it_is_not(source: &Path, recorded: &RecordedDrive) {
+    if let Some((part, whole)) = later_part_of(source) {
+        eprintln!(
+            "{}: is part {part} of a drive, and replayed alone; {} replays all of it",
+            source.display(),
+            whole.display()
+        );
+    }
+    for part in &recorded.cut {
+        eprintln!(
+            "{}: is cut off, and read up to its last whole chunk ({})",
+            part.path.display(),
+            part.cause
+        );
+    }
+    match recorded.losses {
+        Some(losses) if losses == Losses::default() => {}
+        Some(losses) => eprintln!(
+            "{}: while it was recorded {losses}: this is not all of the drive",
+            source.display()
+        ),
+        None => eprintln!(
+            "{}: does not say whether all of the drive was recorded",
+            source.display()
+        ),
+    }
+}
+
 fn refuse_what_is_the_drives(args: &ReplayArgs) -> Result<(), BadInput> {
     if args.timing == Timing::Recorded && args.mcap.mcap.is_some() {
         return Err(BadInput::new(
             "--mcap is given with --timing recorded: a recording keeps the pace of the drive, and this replay has none",
             "leave --timing out, or --mcap",
+        ));
+    }
+    if args.timing == Timing::Recorded && args.pace == Some(Pace::Real) {
+        return Err(BadInput::new(
+            "--pace real is given with --timing recorded: the times are the drive's, and nothing is waited for",
+            "leave --pace out, or --timing",
         ));
     }
     let given = match (&args.can, &args.key_frames) {
@@ -166,13 +185,6 @@ fn refuse_what_is_the_drives(args: &ReplayArgs) -> Result<(), BadInput> {
         ),
         format!("leave {given} out: wheel readings and key frames are those of the drive"),
     ))
-}
-
-fn pace(args: &ReplayArgs) -> Pace {
-    match args.timing {
-        Timing::Recorded => Pace::Fast,
-        Timing::Own => args.pace,
-    }
 }
 
 fn odometer(config: &Config) -> Option<WheelConfig> {
@@ -215,6 +227,9 @@ mod tests {
             "{fault}"
         );
         assert!(!fault.contains("--pace"), "{fault}");
+        let fault = refused(&["--timing", "recorded", "--pace", "real"]).unwrap();
+        assert!(fault.contains("--pace real is given"), "{fault}");
+        assert_eq!(refused(&["--timing", "recorded", "--pace", "fast"]), None);
         assert_eq!(refused(&["--timing", "recorded"]), None);
         assert_eq!(refused(&["--mcap", "again.mcap"]), None);
     }

@@ -9,7 +9,7 @@ mod table;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use super::{DrivesArgs, Failure, MergeArgs, Pace, ReplayArgs, Timing, TruthArgs, replay_drive, terminal};
+use super::{DrivesArgs, Failure, MergeArgs, ReplayArgs, Timing, TruthArgs, replay_drive, terminal};
 use crate::bad_input::{BadInput, read_text};
 use crate::config::Config;
 use crate::eval::fleet::{self, Drive, DriveKind, DriveList, DriveScore, FailedDrive, Fleet, Part, Settings};
@@ -156,7 +156,7 @@ fn evaluate(args: &DrivesArgs, index: usize, drive: &Drive) -> Result<DriveScore
         config: args.config.clone(),
         can: None,
         out: run.clone(),
-        pace: Pace::Fast,
+        pace: None,
         timing: Timing::Recorded,
         key_frames: None,
         ablate: None,

@@ -22,7 +22,7 @@ pub use format::{
 };
 pub use losses::Losses;
 pub use observer::Noted;
-pub use parts::{FLUSH_EVERY, Medium, OpenPart, RETRY_EVERY, Split, later_parts, part_path};
+pub use parts::{FLUSH_EVERY, Medium, OpenPart, RETRY_EVERY, Split, later_part_of, later_parts, part_path};
 pub use preamble::{CONFIG, DRIVE, DriveNote, VERSION};
 pub use tap::{CameraTap, WheelTap};
 

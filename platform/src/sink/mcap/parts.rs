@@ -83,12 +83,28 @@ pub fn later_parts(first: &Path) -> BTreeSet<u32> {
             .strip_prefix(stem)?
             .strip_prefix('.')?
             .strip_suffix(".mcap")?;
-        let number: u32 = text.parse().ok()?;
-        (number > 0 && text == format!("{number:03}")).then_some(number)
+        part_number(text)
     };
     entries
         .filter_map(|entry| number(entry.ok()?.file_name().to_str()?))
         .collect()
+}
+
+/// Which part of which recording a file is by its name, where it is not the first: the number, and the first one's path.
+#[must_use]
+pub fn later_part_of(path: &Path) -> Option<(u32, PathBuf)> {
+    let (stem, text) = path
+        .file_name()?
+        .to_str()?
+        .strip_suffix(".mcap")?
+        .rsplit_once('.')?;
+    let part = part_number(text)?;
+    Some((part, path.with_file_name(format!("{stem}.mcap"))))
+}
+
+fn part_number(text: &str) -> Option<u32> {
+    let number: u32 = text.parse().ok()?;
+    (number > 0 && text == format!("{number:03}")).then_some(number)
 }
 
 /// A part that is there already of the recording that would begin at `first`, whatever its number.
