@@ -8,16 +8,15 @@ use freespace::pipeline::{Cadence, KeyFrameOutput};
 use freespace::port::WheelPort;
 use freespace::space::{Micros, Pose};
 
-use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
+use super::drive::{self, DriveLog, Ports, Progress, Recorded, Recorder, ViewFeed, Watch};
 use super::{DemoArgs, Failure, Pace, table};
 use crate::bad_input::BadInput;
 use crate::camera::{SimFrames, seconds_at};
-use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::grid::{CellCount, RANGE_M};
 use crate::eval::masks::{PixelCount, TruthKind};
 use crate::eval::{Truth, trajectory};
-use crate::runtime::{Devices, FrameReport, KeyFrameReport, Observer, Setup, Start, Status, Trace};
+use crate::runtime::{FrameReport, KeyFrameReport, Observer, Setup, Start, Status, Trace};
 use crate::sink::recording::{FrameRecord, Recording, RunTitle};
 use crate::statistics::Publication;
 use crate::wheels::SimEncoders;
@@ -121,26 +120,16 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         pixels: PixelCount::default(),
         masks: 0,
     });
-    let devices = log.tap(Devices {
+    let ports = Ports {
         camera: Box::new(frames),
         wheels,
-        segmenter: network.segmenter,
-        tiles: drive::tiles(&config, &camera),
         sinks,
-    });
-    let summary = drive::run(
-        Setup {
-            config: pipeline,
-            devices,
-            real_time: network.real_time,
-            plan: network.plan,
-            lacks: network.lacks,
-            clock: MonotonicClock::default(),
-            slow: args.slow,
-        },
-        args.pace,
-        &mut log.noted(&mut judge),
-    )?;
+    };
+    let setup = Setup {
+        slow: args.slow,
+        ..network.into_setup(&config, pipeline, ports, &mut log)
+    };
+    let summary = drive::run(setup, args.pace, &mut log.noted(&mut judge))?;
     log.finish();
     let truth = judge.truth();
     let Recorded {

@@ -9,15 +9,14 @@ use freespace::pipeline::Cadence;
 use freespace::port::WheelPort;
 use freespace::track::WheelConfig;
 
-use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
+use super::drive::{self, DriveLog, Ports, Progress, Recorded, Recorder, ViewFeed, Watch};
 use super::{Ablation, Failure, Pace, ReplayArgs, Timing, replay_drive, table};
 use crate::bad_input::BadInput;
 use crate::camera::replay::drive::is_drive;
 use crate::camera::replay::{KeyFrameRule, KeyFrameSchedule, ReplayCamera, ReplayFrames};
-use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
-use crate::runtime::{Devices, RunSummary, Setup};
+use crate::runtime::RunSummary;
 use crate::sink::recording::{Recording, Report, RunTitle, ScoreOf};
 use crate::wheels::{CandumpOptions, CandumpWheels, WheelDecoder};
 
@@ -160,26 +159,13 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     )?;
     watch.show((network.plan).measure_library("view", || ViewFeed::open(&config, &pipeline, args.pace())));
     let mut recorder = Recorder::new(recording, &pipeline, names, watch);
-    let devices = log.tap(Devices {
+    let ports = Ports {
         camera: Box::new(ReplayFrames::new(frames, key_frames)),
         wheels,
-        segmenter: network.segmenter,
-        tiles: drive::tiles(&config, &camera),
         sinks,
-    });
-    let summary = drive::run(
-        Setup {
-            config: pipeline,
-            devices,
-            real_time: network.real_time,
-            plan: network.plan,
-            lacks: network.lacks,
-            clock: MonotonicClock::default(),
-            slow: None,
-        },
-        args.pace(),
-        &mut log.noted(&mut recorder),
-    )?;
+    };
+    let setup = network.into_setup(&config, pipeline, ports, &mut log);
+    let summary = drive::run(setup, args.pace(), &mut log.noted(&mut recorder))?;
     log.finish();
     let report = conclude(recorder, &summary, &reference)?;
     table::print(&report, &engine, Some(&args.out), args.json);

@@ -8,15 +8,14 @@ use std::path::Path;
 use freespace::port::{CameraPort, WheelPort};
 use freespace::track::WheelConfig;
 
-use super::drive::{self, DriveLog, Progress, Recorder, Watch};
+use super::drive::{self, DriveLog, Ports, Progress, Recorder, Watch};
 use super::{Failure, Pace, ReplayArgs, Timing, replay, table};
 use crate::bad_input::BadInput;
 use crate::camera::replay::KeyFrameRule;
 use crate::camera::replay::drive::{DriveFrames, RecordedDrive};
-use crate::clock::MonotonicClock;
 use crate::config::{Config, Wheels};
 use crate::eval::reference::Reference;
-use crate::runtime::{self, Devices, Setup};
+use crate::runtime;
 use crate::sink::mcap::{Losses, later_part_of};
 use crate::sink::recording::{Recording, Report, RunTitle};
 use crate::statistics::DriveStatistics;
@@ -83,7 +82,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         has_recorded_times: args.timing == Timing::Recorded,
     };
     let recording = Recording::create(&args.out, title)?;
-    let network_sha256 = network.sha256;
+    let network_sha256 = network.sha256.clone();
     let engine = network.segmenter.name().to_owned();
     let statistics = match args.timing {
         Timing::Own => drive::statistics(args.pace()),
@@ -100,23 +99,13 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         &mut watch,
     )?;
     let mut recorder = Recorder::new(recording, &pipeline, BTreeMap::new(), watch);
-    let devices = log.tap(Devices {
+    let ports = Ports {
         camera: frames(args, &recorded),
         wheels: odometer
             .map(|_| -> Box<dyn WheelPort + Send> { Box::new(RecordedWheels::new(recorded.wheels.clone())) }),
-        segmenter: network.segmenter,
-        tiles: drive::tiles(&config, &camera),
         sinks: Vec::new(),
-    });
-    let setup = Setup {
-        config: pipeline,
-        devices,
-        real_time: network.real_time,
-        plan: network.plan,
-        lacks: network.lacks,
-        clock: MonotonicClock::default(),
-        slow: None,
     };
+    let setup = network.into_setup(&config, pipeline, ports, &mut log);
     let summary = match args.timing {
         Timing::Recorded => runtime::run_recorded(setup, recorded.times(), &mut recorder),
         Timing::Own => drive::run(setup, args.pace(), &mut log.noted(&mut recorder))?,

@@ -9,14 +9,14 @@ use freespace::pipeline::{Cadence, PipelineConfig};
 use freespace::port::{SinkPort, WheelPort};
 use freespace::track::WheelConfig;
 
-use super::drive::{self, DriveLog, Progress, Recorded, Recorder, ViewFeed, Watch};
+use super::drive::{self, DriveLog, Ports, Progress, Recorded, Recorder, ViewFeed, Watch};
 use super::{Failure, Pace, RunArgs, table, terminal};
 use crate::bad_input::BadInput;
 use crate::camera::v4l2::{CameraEvents, V4l2Camera};
 use crate::can::{self, CanDevices, CanListener, CanPlan};
 use crate::clock::MonotonicClock;
 use crate::config::{Config, DeviceSection, ImageSize, Wheels};
-use crate::runtime::{Devices, RunSummary, Setup};
+use crate::runtime::{RunSummary, Setup};
 use crate::sink::recording::{Recording, Report, RunTitle};
 use crate::statistics::DriveStatistics;
 
@@ -52,20 +52,14 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         &mut watch,
     )?;
     watch.show((network.plan).measure_library("view", || ViewFeed::open(&config, &pipeline, Pace::Real)));
+    let ports = Ports {
+        camera: Box::new(frames),
+        wheels: bus.wheels,
+        sinks: bus.sinks,
+    };
     let setup = Setup {
-        config: pipeline.clone(),
-        devices: log.tap(Devices {
-            camera: Box::new(frames),
-            wheels: bus.wheels,
-            segmenter: network.segmenter,
-            tiles: drive::tiles(&config, &camera),
-            sinks: bus.sinks,
-        }),
-        real_time: network.real_time,
-        plan: network.plan,
-        lacks: network.lacks,
         clock: MonotonicClock::of_devices(),
-        slow: None,
+        ..network.into_setup(&config, pipeline.clone(), ports, &mut log)
     };
     let drive = Drive {
         args,

@@ -21,18 +21,19 @@ use freespace::emit::FreeSpaceMessage;
 use freespace::frame::Camera;
 use freespace::grid::GridConfig;
 use freespace::pipeline::{Cadence, PipelineConfig};
-use freespace::port::SinkPort;
+use freespace::port::{CameraPort, SinkPort, WheelPort};
 use freespace::segmentation::{Tile, TileConfig};
 use freespace::track::WheelConfig;
 
 use super::{Failure, Pace, terminal};
 use crate::bad_input::BadInput;
+use crate::clock::MonotonicClock;
 use crate::config::{Config, Sharing};
 use crate::eval::grid::GridLayout;
 use crate::runtime::memory::MemoryPlan;
 use crate::runtime::rights::{self, Lack, RealTimeConfig, ThreadRole};
 use crate::runtime::supervision::{end_at_once, stop_on_signals};
-use crate::runtime::{self, Observer, RunError, RunSummary, Setup};
+use crate::runtime::{self, Devices, Observer, RunError, RunSummary, Setup};
 use crate::segmenter::{self, EngineChoice, Manifest, Segmenter};
 use crate::sink::shared_memory::{Opened, SharedMemorySink};
 use crate::statistics::DriveStatistics;
@@ -95,6 +96,41 @@ pub(in crate::cli) fn open_network(config: &Config) -> Result<Network, Failure> 
         plan,
         lacks: unsettled.into_iter().chain(lacks).collect(),
     })
+}
+
+/// What a run is connected to.
+pub(in crate::cli) struct Ports {
+    pub(in crate::cli) camera: Box<dyn CameraPort + Send>,
+    pub(in crate::cli) wheels: Option<Box<dyn WheelPort + Send>>,
+    pub(in crate::cli) sinks: Vec<Box<dyn SinkPort + Send>>,
+}
+
+impl Network {
+    /// A run of this network with these ports, which `log` records where it does; its times begin now.
+    pub(in crate::cli) fn into_setup(
+        self,
+        config: &Config,
+        pipeline: PipelineConfig,
+        ports: Ports,
+        log: &mut DriveLog,
+    ) -> Setup {
+        let devices = log.tap(Devices {
+            camera: ports.camera,
+            wheels: ports.wheels,
+            segmenter: self.segmenter,
+            tiles: tiles(config, &pipeline.camera),
+            sinks: ports.sinks,
+        });
+        Setup {
+            config: pipeline,
+            devices,
+            real_time: self.real_time,
+            plan: self.plan,
+            lacks: self.lacks,
+            clock: MonotonicClock::default(),
+            slow: None,
+        }
+    }
 }
 
 /// The configured tiles.
