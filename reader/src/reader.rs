@@ -51,12 +51,6 @@ impl Reader {
     pub fn open(name: &str) -> Result<Self, ReaderError> {
         let name = ServiceName::new(name).map_err(|_| ReaderError::BadName)?;
         let node = service::node()?;
-        let events = node.service_builder(&name).event().open()?;
-        // It listens first, so that no message slips between the two.
-        let listener = (events.listener_builder().create()).map_err(|error| match error {
-            ListenerCreateError::ExceedsMaxSupportedListeners => ReaderError::TooManyReaders,
-            _ => ReaderError::Failed,
-        })?;
         let messages = node
             .service_builder(&name)
             .publish_subscribe::<Payload>()
@@ -64,6 +58,12 @@ impl Reader {
         if !is_served(&messages) {
             return Err(ReaderError::NoModule);
         }
+        let events = node.service_builder(&name).event().open()?;
+        // It listens first, so that no message slips between the two.
+        let listener = (events.listener_builder().create()).map_err(|error| match error {
+            ListenerCreateError::ExceedsMaxSupportedListeners => ReaderError::TooManyReaders,
+            _ => ReaderError::Failed,
+        })?;
         let subscriber = messages
             .subscriber_builder()
             .buffer_size(READER_BUFFER)
@@ -121,13 +121,13 @@ fn is_served(messages: &PortFactory<Ipc, Payload, ()>) -> bool {
         module = Some(publisher.node_id);
         CallbackProgression::Stop
     });
-    let mut is_dead = false;
-    // What cannot be told is no reason against it.
-    let _ = messages.nodes(|node| {
-        is_dead |= Some(*node.node_id()) == module && matches!(node, NodeState::Dead(_));
+    let mut lives = false;
+    let listed = messages.nodes(|node| {
+        lives |= Some(*node.node_id()) == module && !matches!(node, NodeState::Dead(_));
         CallbackProgression::Continue
     });
-    module.is_some() && !is_dead
+    // What cannot be told is no reason against it.
+    module.is_some() && (lives || listed.is_err())
 }
 
 /// `CLOCK_MONOTONIC` now, for [`SharedMessage::age_micros`].

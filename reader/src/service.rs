@@ -64,14 +64,17 @@ impl Debug for Payload {
 ///
 /// In `/dev/shm`, which a service manager that gives each unit a `/tmp` of its own leaves shared.
 pub const FOLDER: &str = "/dev/shm/freespace";
-/// Its part for the nodes.
-pub const NODES: &str = "/dev/shm/freespace/nodes";
 /// Where memory lies.
 pub const MEMORY: &str = "/dev/shm";
 /// How every file's name begins: memory of other programs that use the library is another's.
 pub const PREFIX: &str = "freespace_";
 
-fn config() -> Config {
+/// The library's settings for the service; no file of settings changes them.
+///
+/// Nothing is cleared away of what dead processes left: the module does that, where it is ready to. A process that is killed while
+/// it clears away leaves what nobody clears away again, and readers are killed as they come and go.
+#[must_use]
+pub fn config() -> Config {
     let mut config = Config::default();
     if let Ok(folder) = Path::new(FOLDER.as_bytes()) {
         config.global.set_root_path(&folder);
@@ -85,10 +88,7 @@ fn config() -> Config {
     config
 }
 
-/// A node for one process's part in the service. It leaves the process's signals alone, and no file of settings changes it.
-///
-/// It clears nothing away of what dead processes left: the module does, where it is ready to. A process that is killed while it
-/// clears away leaves what nobody clears away again, and readers are killed as they come and go.
+/// A node for one process's part in the service. It leaves the process's signals alone.
 ///
 /// # Errors
 /// `/dev/shm` or the folder of the services cannot be written to.

@@ -13,10 +13,10 @@ use iceoryx2::service::service_name::ServiceName;
 
 use super::picture::{Painter, PictureSource};
 use super::{MAX_READERS, MAX_VIEW_BYTES, ViewStatus, encode, service_name};
-use crate::sink::shared_memory::{SharingConfig, SharingError, clear_away};
+use crate::sink::shared_memory::{SharingConfig, SharingError};
 
 /// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
-const SPARE_NODES: usize = 4;
+const SPARE_NODES: usize = 16;
 
 /// Publishes views. It stays on the thread that opened it.
 pub struct ViewWriter {
@@ -29,14 +29,14 @@ pub struct ViewWriter {
 }
 
 impl ViewWriter {
-    /// Makes the service beside the one that `config` names, with all its room.
+    /// Makes the service beside the one that `config` names, with all its room; the sink for that one comes first, and clears away
+    /// what a module that died left of both.
     ///
     /// # Errors
     /// See [`SharingError`].
     pub fn open(config: &SharingConfig) -> Result<Self, SharingError> {
         let name = ServiceName::new(&service_name(&config.name)).map_err(|_| SharingError::Name)?;
         let node = service::node()?;
-        clear_away(node.config());
         let views = node
             .service_builder(&name)
             .publish_subscribe::<[u8]>()

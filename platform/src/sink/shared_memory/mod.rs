@@ -14,7 +14,6 @@ mod thread;
 mod writer;
 
 pub use error::SharingError;
-pub(crate) use leftovers::clear_away;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

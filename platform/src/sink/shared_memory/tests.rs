@@ -1,5 +1,6 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::os::unix::fs::PermissionsExt as _;
 use std::time::Duration;
 
 use freespace::emit::{FreeSpaceMessage, Header, Publication};
@@ -89,4 +90,28 @@ fn a_message_that_is_too_long_or_none_is_refused_and_the_next_one_is_not() {
     let mut reader = Reader::open(&config.name).unwrap();
     let _ = sink.publish(&message(3), &[]);
     assert_eq!(reader.next(WAIT).unwrap().unwrap().sequence, 3);
+}
+
+#[test]
+fn a_service_that_was_never_finished_is_made_anew() {
+    let config = config("half_made");
+    let sink = open(&config).unwrap();
+    let services = std::fs::read_dir(format!("{}/services", service::FOLDER)).unwrap();
+    let own: Vec<_> = services
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| {
+            let text = std::fs::read(path).unwrap_or_default();
+            (text.windows(config.name.len())).any(|some| some == config.name.as_bytes())
+        })
+        .collect();
+    // The messages, and their event.
+    assert_eq!(own.len(), 2);
+    drop(sink);
+    for half_made in own {
+        std::fs::write(&half_made, "").unwrap();
+        std::fs::set_permissions(&half_made, std::fs::Permissions::from_mode(0o600)).unwrap();
+    }
+    let mut sink = open(&config).unwrap();
+    sink.publish(&message(1), &[]).unwrap();
+    Reader::open(&config.name).unwrap();
 }

@@ -16,7 +16,7 @@ use crate::runtime::rights::{Lacks, RealTimeConfig, ThreadRole, enter};
 
 /// How often dead readers are looked for: with every message of a module that makes two a second. One that is started anew by a
 /// supervisor finds its place free by then.
-const TIDY_EVERY: Duration = Duration::from_millis(400);
+const CLEAR_AWAY_EVERY: Duration = Duration::from_millis(400);
 
 /// Times that the service is made anew after the library panicked; each panic takes a letter with it.
 const REOPENINGS: usize = LETTERS - 1;
@@ -57,7 +57,7 @@ impl Body {
     }
 
     fn serve(&mut self, writer: &Writer) {
-        let mut tidied = Instant::now();
+        let mut cleared = Instant::now();
         while let Some(letter) = self.desk.letters.wait_forewarned(|| writer.announce()) {
             let written = FreeSpaceMessage::decode_own(&letter.bytes[..letter.length])
                 .map_err(|_| SinkMiss::Refused)
@@ -67,9 +67,9 @@ impl Body {
             }
             // There is room for every letter.
             let _ = self.back.push(letter);
-            if tidied.elapsed() > TIDY_EVERY {
-                writer.tidy();
-                tidied = Instant::now();
+            if cleared.elapsed() > CLEAR_AWAY_EVERY {
+                writer.clear_away();
+                cleared = Instant::now();
             }
         }
     }

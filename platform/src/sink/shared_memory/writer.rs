@@ -3,6 +3,7 @@
 //! It stays on the thread that opened it.
 
 use core::ptr;
+use std::thread;
 
 use freespace::emit::FreeSpaceMessage;
 use freespace::port::SinkMiss;
@@ -17,7 +18,8 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::EventId;
 use iceoryx2::service::service_name::ServiceName;
 
-use super::{SharingConfig, SharingError, leftovers};
+use super::leftovers::{self, IN_THE_MAKING, JUST_MADE};
+use super::{SharingConfig, SharingError};
 
 /// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
 const SPARE_NODES: usize = 16;
@@ -30,11 +32,23 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Makes the service with all its slots. What a module that died left behind is cleared away first.
+    /// Makes the service with all its slots. What a module that died left behind is cleared away first; what may have been in the
+    /// making then, if there is no way in, at a second try.
     pub(super) fn open(config: &SharingConfig) -> Result<Self, SharingError> {
+        leftovers::clear_away(&service::config(), IN_THE_MAKING);
+        match Self::make(config) {
+            Err(SharingError::Library | SharingError::Taken) => {
+                thread::sleep(JUST_MADE);
+                leftovers::clear_away(&service::config(), JUST_MADE);
+                Self::make(config)
+            }
+            made => made,
+        }
+    }
+
+    fn make(config: &SharingConfig) -> Result<Self, SharingError> {
         let name = ServiceName::new(&config.name).map_err(|_| SharingError::Name)?;
         let node = service::node()?;
-        leftovers::clear_away(node.config());
         let events = node
             .service_builder(&name)
             .event()
@@ -89,8 +103,8 @@ impl Writer {
             .notify_with_custom_event_id(EventId::new(SOON_EVENT));
     }
 
-    /// Clears away what readers that died left behind, without waiting for anything.
-    pub(super) fn tidy(&self) {
-        leftovers::clear_away(self.node.config());
+    /// Clears away what readers that died left behind.
+    pub(super) fn clear_away(&self) {
+        leftovers::clear_away(self.node.config(), IN_THE_MAKING);
     }
 }
