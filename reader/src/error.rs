@@ -10,7 +10,7 @@ use crate::service::NodeCreationFailure;
 /// Why the module's messages cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ReaderError {
-    /// No service has this name: wait for the module, or correct the name.
+    /// No service has this name, or its module was killed: wait for the module, or correct the name.
     #[error("nobody publishes under this name: start the module, or give the `name` of its [shared_memory]")]
     NoModule,
     /// Not a name that a service may have.

@@ -192,13 +192,13 @@ impl SharedMessage {
         age: [u8::MAX; MAX_CELLS],
     };
 
-    /// Becomes `message`, whatever it was before; `now` is `CLOCK_MONOTONIC`.
+    /// Becomes `message`, whatever it was before; `handed_over` is `CLOCK_MONOTONIC`.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_precision_loss,
         reason = "sizes of a message and of a grid"
     )]
-    pub fn fill(&mut self, message: &FreeSpaceMessage<'_>, now: Micros) {
+    pub fn fill(&mut self, message: &FreeSpaceMessage<'_>, handed_over: Micros) {
         self.fill_cells(message);
         self.magic = MAGIC;
         self.version = SHARED_VERSION;
@@ -211,7 +211,7 @@ impl SharedMessage {
         self.origin_x_m = 0.0;
         self.origin_y_m = -0.5 * message.columns as f32 * message.cell_m;
         self.reserved = 0;
-        self.handed_over_micros = now.0;
+        self.handed_over_micros = handed_over.0;
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "there are 32 sectors")]

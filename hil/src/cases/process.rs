@@ -83,14 +83,14 @@ pub(crate) const CASES: &[Case] = &[
         injected: "nothing, for a minute",
         required: "no miss, memory flat, at most 2 % of the answers not good, and marked",
         is_quick: true,
-        run: |rig| soak(rig, 60, RARE),
+        run: |rig| soak(rig, 60),
     },
     Case {
         name: "soak",
         injected: "nothing, for ten minutes",
         required: "no miss, memory flat, at most 2 % of the answers not good, and marked",
         is_quick: false,
-        run: |rig| soak(rig, 600, RARE),
+        run: |rig| soak(rig, 600),
     },
 ];
 
@@ -289,13 +289,13 @@ fn flat_since(before: Option<u64>, bench: &Bench, seen: &mut Seen) {
     }
 }
 
-fn soak(rig: &Rig, seconds: u64, rare: f64) -> Result<Seen, BenchError> {
+fn soak(rig: &Rig, seconds: u64) -> Result<Seen, BenchError> {
     let bench = Bench::start(rig, &[], None)?;
     let mut seen = Seen::default();
     std::thread::sleep(Duration::from_secs(10));
     let before = bench.module.resident_kb();
     std::thread::sleep(Duration::from_secs(seconds.saturating_sub(10)));
     flat_since(before, &bench, &mut seen);
-    good_since(&bench, bench.first.at_micros, rare, &mut seen);
+    good_since(&bench, bench.first.at_micros, RARE, &mut seen);
     finish(bench, Blind::default(), Ending::Well, seen)
 }

@@ -124,7 +124,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
 fn tell_what_it_is_not(source: &Path, recorded: &RecordedDrive) {
     if let Some((part, whole)) = later_part_of(source) {
         eprintln!(
-            "{}: is part {part} of a drive, and replayed alone; {} replays all of it",
+            "{}: is part {part} of a drive, and replayed alone; give {} to replay all of it",
             source.display(),
             whole.display()
         );

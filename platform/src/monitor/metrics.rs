@@ -2,7 +2,8 @@
 //!
 //! In: a [`State`] and the time. Out: the text of `/metrics`. Invariant: names, units and suffixes by the conventions
 //! (`promtool check metrics` accepts them); counters are since the monitor started, those of frames and restarts since the
-//! module did, and rest while the module is silent; a gauge of the module is left out while the module is silent, so that no alert reads an old one. Cost: some hundred lines.
+//! module did, and rest while the module is silent; a gauge of the module is left out while the module is silent, so that no alert
+//! reads an old one. Cost: some hundred lines.
 
 use std::fmt::{Display, Write as _};
 

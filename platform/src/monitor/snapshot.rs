@@ -278,7 +278,7 @@ impl MessageView {
         let header = &last.header;
         let faults = header.faults;
         // A message that is old, or the last one, says nothing of now.
-        let now = |state| if link == Link::Live { state } else { "unknown" };
+        let if_live = |state| if link == Link::Live { state } else { "unknown" };
         let scale = SCALE.get(usize::from(header.scale)).copied().unwrap_or("unknown");
         let tracking = TRACKING.get(usize::from(header.tracking)).copied();
         let can = [(Faults::CAN_SEND_FAILED, "sending fails")];
@@ -290,11 +290,11 @@ impl MessageView {
             level_number: header.level as u8,
             blame: header.blame.map(Blame::name),
             faults: faults.names().collect(),
-            scale: now(scale),
-            tracking: now(tracking.unwrap_or("unknown")),
-            camera: now(camera(faults)),
-            wheels: now(wheels(faults, scale)),
-            can: now(first(faults, &can).unwrap_or("no fault")),
+            scale: if_live(scale),
+            tracking: if_live(tracking.unwrap_or("unknown")),
+            camera: if_live(camera(faults)),
+            wheels: if_live(wheels(faults, scale)),
+            can: if_live(first(faults, &can).unwrap_or("no fault")),
             speed_mps: header.speed_mps,
             yaw_rate_radps: header.yaw_rate_radps,
             free_ahead_m: if link == Link::Live {

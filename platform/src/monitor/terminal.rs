@@ -1,7 +1,7 @@
 //! The terminal view: the grid from above with the boundary, latency against the budget, misses, state.
 //!
 //! In: the shared state, keys. Out: frames of text, four a second. Invariant: the terminal is given back as it was found,
-//! also after a fault; what fits no small window is left out from the bottom. Keys: `o`, `r`, `a` colour the grid by
+//! also after a fault; in a small window the bars are low, and the older misses are left out. Keys: `o`, `r`, `a` colour the grid by
 //! occupancy, reason, age; `q`, Escape or Ctrl-C end.
 
 mod birdseye;

@@ -13,10 +13,7 @@ use iceoryx2::service::service_name::ServiceName;
 
 use super::picture::{Painter, PictureSource};
 use super::{MAX_READERS, MAX_VIEW_BYTES, ViewStatus, encode, service_name};
-use crate::sink::shared_memory::{SharingConfig, SharingError};
-
-/// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
-const SPARE_NODES: usize = 16;
+use crate::sink::shared_memory::{SPARE_NODES, SharingConfig, SharingError};
 
 /// Publishes views. It stays on the thread that opened it.
 pub struct ViewWriter {

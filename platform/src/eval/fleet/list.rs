@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::bad_input::{BadInput, read_text};
-use crate::sink::mcap::part_path;
+use crate::sink::mcap::later_part_of;
 
 /// Folders below the given one that are searched: fleet, car, day, drive, and as many again.
 const DEPTH: usize = 8;
@@ -101,10 +101,7 @@ impl DriveKind {
 
 /// Whether a file is a later part of another recording: `NAME.001.mcap` beside `NAME.mcap`.
 fn follows(path: &Path) -> bool {
-    let stem = path.with_extension("");
-    let first = stem.with_extension("mcap");
-    let number = stem.extension().and_then(|number| number.to_str()?.parse().ok());
-    number.is_some_and(|number: u32| number > 0 && part_path(&first, number) == path && first.is_file())
+    later_part_of(path).is_some_and(|(_, first)| first.is_file())
 }
 
 /// A drive of the list.

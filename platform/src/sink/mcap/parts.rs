@@ -132,7 +132,7 @@ pub(super) struct Counters {
     pub(super) lost_messages: AtomicU64,
     /// Frames that found no buffer free.
     pub(super) dropped_frames: AtomicU64,
-    /// Other messages that found their queue full.
+    /// Other messages that found a queue full, on their way to the observer or from it.
     pub(super) dropped_messages: AtomicU64,
 }
 

@@ -76,7 +76,9 @@ pub(super) fn write(run: &Run<'_>) -> Result<(), RecordingError> {
 fn worst(run: &Run<'_>, scores: &Scores) -> Result<BTreeSet<usize>, RecordingError> {
     let (mut slowest, mut furthest) = (Worst::default(), Worst::default());
     for (i, row) in timing::rows(&run.folder.partial("timing.csv"))?.enumerate() {
-        slowest.offer(i, row.latency_ms.unwrap_or(0.0));
+        if let Some(latency_ms) = row.latency_ms {
+            slowest.offer(i, latency_ms);
+        }
         if let Some(iou) = scores.get(&row.name) {
             furthest.offer(i, -iou);
         }

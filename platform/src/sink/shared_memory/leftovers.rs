@@ -16,8 +16,7 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use freespace_reader::service::{FOLDER, Ipc, MEMORY, PREFIX};
-use iceoryx2::config::Config;
+use freespace_reader::service::{self, FOLDER, Ipc, MEMORY, PREFIX};
 use iceoryx2::node::{DeadNodeView, Node, NodeState, NodeView as _};
 use iceoryx2::prelude::CallbackProgression;
 
@@ -47,9 +46,9 @@ pub(super) const IN_THE_MAKING: Duration = Duration::from_secs(60);
 pub(super) const JUST_MADE: Duration = Duration::from_secs(1);
 
 /// Clears away what dead processes left, and what is unfinished for longer than `unfinished_after`.
-pub(super) fn clear_away(config: &Config, unfinished_after: Duration) {
+pub(super) fn clear_away(unfinished_after: Duration) {
     // What cannot be cleared away, or looked at, now, may be later.
-    let _ = Places::new(Path::new(FOLDER), Path::new(MEMORY)).clear_away(config, unfinished_after);
+    let _ = Places::new(Path::new(FOLDER), Path::new(MEMORY)).clear_away(unfinished_after);
 }
 
 /// Where everything lies.
@@ -70,14 +69,14 @@ impl Places {
         }
     }
 
-    fn clear_away(&self, config: &Config, unfinished_after: Duration) -> io::Result<()> {
-        self.sweep_memory_without_size(unfinished_after.min(JUST_MADE))?;
+    fn clear_away(&self, unfinished_after: Duration) -> io::Result<()> {
+        self.sweep_memory_without_size(JUST_MADE)?;
         self.sweep_services(unfinished_after)?;
         // The library would look into it.
         let may_look = !(listing(&self.memory)?.iter())
             .any(|found| found.name.ends_with(SERVICE_MEMORY) && found.metadata.len() == 0);
         if may_look {
-            let _ = Node::<Ipc>::list(config, |node| {
+            let _ = Node::<Ipc>::list(&service::config(), |node| {
                 if let NodeState::Dead(node) = node {
                     let _ = self.clear_away_node(node);
                 }
@@ -104,8 +103,13 @@ impl Places {
     fn sweep_memory_without_size(&self, older_than: Duration) -> io::Result<()> {
         let tags = self.tags()?;
         for found in listing(&self.memory)? {
-            let has_tag = found.ports().iter().any(|port| tags.contains(port));
-            if found.metadata.len() == 0 && !has_tag && found.is_older_than(older_than) {
+            let ports = found.ports();
+            let is_memory = !ports.is_empty()
+                || found.name.ends_with(SERVICE_MEMORY)
+                || found.name.ends_with(COMMON_MEMORY);
+            let has_tag = ports.iter().any(|port| tags.contains(port));
+            let has_size = found.metadata.len() > 0;
+            if is_memory && !has_tag && !has_size && found.is_older_than(older_than) {
                 found.remove()?;
             }
         }
@@ -201,13 +205,16 @@ impl Found {
         let Ok(name) = entry.file_name().into_string() else {
             return Ok(None);
         };
+        if !name.starts_with(PREFIX) && !is_id(&name) {
+            return Ok(None);
+        }
         let metadata = match entry.metadata() {
             // It has gone meanwhile.
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
             metadata => metadata?,
         };
         let is_own = metadata.uid() == rustix::process::geteuid().as_raw();
-        let is_ours = name.starts_with(PREFIX) || (metadata.is_dir() && is_id(&name));
+        let is_ours = name.starts_with(PREFIX) || metadata.is_dir();
         Ok((is_own && is_ours).then(|| Self {
             name,
             path: entry.path(),
@@ -411,10 +418,12 @@ mod tests {
         scene.make_memory(&in_the_making, "");
         scene.make_memory(&goes, "");
         scene.make_memory(&[file("1124_6.dynamic")], "x");
+        // Of no kind that the library makes.
+        scene.make_memory(&[file("notes")], "");
         scene.places.sweep_memory_without_size(HOUR).unwrap();
-        assert_eq!(names(&scene.places.memory).len(), 5);
+        assert_eq!(names(&scene.places.memory).len(), 6);
         scene.places.sweep_memory_without_size(Duration::ZERO).unwrap();
-        let mut stays = [&in_the_making[..], &[file("1124_6.dynamic")]].concat();
+        let mut stays = [&in_the_making[..], &[file("1124_6.dynamic"), file("notes")]].concat();
         stays.sort();
         assert_eq!(names(&scene.places.memory), stays);
     }

@@ -14,6 +14,7 @@ mod thread;
 mod writer;
 
 pub use error::SharingError;
+pub(crate) use writer::SPARE_NODES;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -10,6 +10,7 @@ use freespace::emit::FreeSpaceMessage;
 use freespace::port::SinkMiss;
 use rtrb::Producer;
 
+use super::leftovers::{IN_THE_MAKING, clear_away};
 use super::writer::Writer;
 use super::{Desk, LETTERS, Letter, SharingConfig, SharingError};
 use crate::runtime::rights::{Lacks, RealTimeConfig, ThreadRole, enter};
@@ -68,7 +69,7 @@ impl Body {
             // There is room for every letter.
             let _ = self.back.push(letter);
             if cleared.elapsed() > CLEAR_AWAY_EVERY {
-                writer.clear_away();
+                clear_away(IN_THE_MAKING);
                 cleared = Instant::now();
             }
         }

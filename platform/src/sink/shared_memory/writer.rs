@@ -21,25 +21,26 @@ use iceoryx2::service::service_name::ServiceName;
 use super::leftovers::{self, IN_THE_MAKING, JUST_MADE};
 use super::{SharingConfig, SharingError};
 
-/// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet.
-const SPARE_NODES: usize = 16;
+/// Processes that may open the service besides the readers: the module, and readers that died and were not cleared away yet; a
+/// reader that dies and is started anew every 40 ms finds a place.
+pub(crate) const SPARE_NODES: usize = 16;
 
 pub(super) struct Writer {
     publisher: Publisher<Ipc, Payload, ()>,
     notifier: Notifier<Ipc>,
     // Ports go before the node they belong to.
-    node: Node<Ipc>,
+    _node: Node<Ipc>,
 }
 
 impl Writer {
     /// Makes the service with all its slots. What a module that died left behind is cleared away first; what may have been in the
     /// making then, if there is no way in, at a second try.
     pub(super) fn open(config: &SharingConfig) -> Result<Self, SharingError> {
-        leftovers::clear_away(&service::config(), IN_THE_MAKING);
+        leftovers::clear_away(IN_THE_MAKING);
         match Self::make(config) {
             Err(SharingError::Library | SharingError::Taken) => {
                 thread::sleep(JUST_MADE);
-                leftovers::clear_away(&service::config(), JUST_MADE);
+                leftovers::clear_away(JUST_MADE);
                 Self::make(config)
             }
             made => made,
@@ -77,7 +78,7 @@ impl Writer {
         Ok(Self {
             publisher,
             notifier,
-            node,
+            _node: node,
         })
     }
 
@@ -101,10 +102,5 @@ impl Writer {
         let _ = self
             .notifier
             .notify_with_custom_event_id(EventId::new(SOON_EVENT));
-    }
-
-    /// Clears away what readers that died left behind.
-    pub(super) fn clear_away(&self) {
-        leftovers::clear_away(self.node.config(), IN_THE_MAKING);
     }
 }
