@@ -160,7 +160,8 @@ pub(crate) fn finish(bench: Bench, blind: Blind, ending: Ending, mut seen: Seen)
         kept.answers, kept.latest_ms
     ));
     seen.broken.extend(kept.broken);
-    truth::judge(&frames, &road, &feed, &mut seen);
+    let grids = truth::judge(&frames, &road, &feed, &mut seen);
+    std::fs::write(rig.file("grids.csv"), grids)?;
     let late_ms = feed.lateness_micros(road.rate_hz) / 1000;
     seen.note(format!("pictures at most {late_ms} ms late"));
     seen.was_late = late_ms > LATE_MS;

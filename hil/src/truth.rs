@@ -1,5 +1,7 @@
 //! The grids that came over the bus against the world that was driven through.
 
+use std::fmt::Write as _;
+
 use freespace::budget::MAX_CELLS;
 use freespace::emit::CanFrame;
 use freespace::emit::grid_frames::{GridReader, GridStep, ReceivedGrid};
@@ -18,8 +20,9 @@ const IOU: f64 = 0.75;
 /// grid of an undisturbed drive has 0.13, far away.
 const FALSELY_FREE: f64 = 0.20;
 
-/// Compares every grid of the drive that claims to be good.
-pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen) {
+/// Compares every grid of the drive that claims to be good; each is a line of the table that comes back.
+pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen) -> String {
+    let mut table = "grid,drive_s,level,iou,falsely_free\n".to_owned();
     let mut reader = GridReader::new(MAX_CELLS);
     let (mut grids, mut refused) = (0, 0);
     let mut good = CellCount::default();
@@ -35,11 +38,19 @@ pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen)
         }
         let Some(grid) = reader.grid() else { continue };
         grids += 1;
-        let is_lap_new = road.is_lap_new(feed.seconds_at(grid.capture.0));
+        let drive_s = feed.seconds_at(grid.capture.0);
+        let is_lap_new = road.is_lap_new(drive_s);
         if grid.level <= QualityLevel::NoRefinement && !is_lap_new {
             let count = compare(&grid, road, feed);
             let share = falsely_free(&count);
             worst = worst.max(share);
+            let (level, iou) = (grid.level.name(), count.iou());
+            // A string takes all that is written to it.
+            let _ = writeln!(
+                table,
+                "{},{drive_s:.2},{level},{iou:.3},{share:.3}",
+                grid.sequence
+            );
             seen.require(
                 share <= FALSELY_FREE,
                 format!(
@@ -65,6 +76,7 @@ pub(crate) fn judge(frames: &[Frame], road: &Road, feed: &Feed, seen: &mut Seen)
     if refused > 0 {
         seen.note(format!("{refused} grids incomplete"));
     }
+    table
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts of cells")]

@@ -540,13 +540,18 @@ impl Tracker {
         let current_from_previous = previous_from_current.inverse();
         let current_from_world = pose.inverse();
         let sigma_rad = 0.7 / self.focal_px;
-        let blind = self.state == TrackingState::DeadReckoning;
+        if self.state == TrackingState::DeadReckoning {
+            // What agrees on no motion, as after a gap in the frames, was matched by chance: neither the next frame nor the map may
+            // take it for a sighting of what was known before.
+            self.tracks.clear();
+            return;
+        }
         let frame = self.frame + 1;
         let mut kept = 0;
         for index in 0..self.tracks.len() {
             let mut track = self.tracks[index];
             let residual = &self.residuals[index];
-            if agrees(residual) || blind {
+            if agrees(residual) {
                 track.strikes = track.strikes.saturating_sub(1);
             } else {
                 track.strikes += 1;
@@ -597,12 +602,13 @@ impl Tracker {
     }
 
     fn consider_view(&mut self, pose: &Pose) {
-        if self.state == TrackingState::Standstill {
+        let is_anything_seen = self.tracks.iter().any(|track| track.age >= 1);
+        if self.state == TrackingState::Standstill || !is_anything_seen {
             self.wants_view = false;
             return;
         }
         let Some((_, view, observed)) = self.viewed else {
-            self.wants_view = self.tracks.iter().any(|t| t.age >= 1);
+            self.wants_view = true;
             return;
         };
         let view_from_current = view.inv_mul(pose);

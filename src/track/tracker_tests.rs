@@ -209,6 +209,27 @@ fn a_lost_picture_is_dead_reckoned_and_overcome() {
     assert!(drive.error_m(&again) < 0.05, "{}", drive.error_m(&again));
 }
 
+/// What was matched by chance over a gap in the frames is no sighting of anything that was seen before.
+#[test]
+fn a_gap_in_the_frames_ends_the_tracks() {
+    let mut drive = Drive::new();
+    for _ in 0..4 {
+        drive.step(0.6, 0.0, true);
+    }
+    let newest = drive.tracker.tracks().map(|(id, ..)| id).max().unwrap();
+    let after = drive.step(40.0, 0.0, true);
+    assert_eq!(after.state, TrackingState::DeadReckoning);
+    assert!(drive.tracker.tracks().all(|(id, ..)| id > newest));
+    assert!(!drive.tracker.wants_view(), "it would see nothing");
+    let next = drive.step(0.6, 0.0, true);
+    assert_eq!(next.state, TrackingState::Good);
+    assert!(drive.tracker.wants_view());
+    let mut view = View::default();
+    drive.tracker.view_into(&mut view);
+    assert!(view.observations.len() > 50);
+    assert!(view.observations.iter().all(|seen| seen.track > newest));
+}
+
 /// The map answers two frames late: the poses since are carried over, rescaled.
 #[test]
 fn a_late_correction_moves_the_present() {
