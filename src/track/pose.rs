@@ -56,6 +56,26 @@ pub(crate) struct Prior {
     pub(crate) sigma_across_m: f64,
 }
 
+impl Prior {
+    /// How far a pose lies sideways of the foretold path, and over or under it, in standard deviations.
+    pub(crate) fn across_sigmas(&self, rolling: &Rolling, pose: &Pose) -> f64 {
+        let (off, [_, u, v]) = self.off_path(rolling, &self.world_from_previous.inv_mul(pose));
+        u.dot(&off).hypot(v.dot(&off)) / self.sigma_across_m
+    }
+
+    /// How far a motion is from the path that its rotation foretells, and the directions along and across that path.
+    fn off_path(&self, rolling: &Rolling, motion: &Pose) -> (Vector3<f64>, [Vector3<f64>; 3]) {
+        let expected = rolling.translation(self.distance_m, &motion.rotation);
+        let along = if expected.norm() > 1e-6 {
+            expected.normalize()
+        } else {
+            rolling.translation(1.0, &UnitQuaternion::identity()).normalize()
+        };
+        let (u, v) = across(&along);
+        (motion.translation.vector - expected, [along, u, v])
+    }
+}
+
 /// Residual of a sighting: by its landmark where it has one, and the largest epipolar distance.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Residual {
@@ -263,14 +283,7 @@ impl System {
     fn add_prior(&mut self, rolling: &Rolling, prior: &Prior, pose: &Pose) {
         let motion = prior.world_from_previous.inv_mul(pose);
         // The arc follows the rotation as solved so far; its own derivative is small and left out.
-        let expected = rolling.translation(prior.distance_m, &motion.rotation);
-        let along = if expected.norm() > 1e-6 {
-            expected.normalize()
-        } else {
-            rolling.translation(1.0, &UnitQuaternion::identity()).normalize()
-        };
-        let (u, v) = across(&along);
-        let off = motion.translation.vector - expected;
+        let (off, [along, u, v]) = prior.off_path(rolling, &motion);
         let turned = motion.rotation.inverse();
         for (axis, sigma_m) in [
             (along, prior.sigma_along_m),

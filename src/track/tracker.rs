@@ -49,6 +49,11 @@ const MIN_INLIERS: usize = 15;
 const GOOD_INLIERS: usize = 60;
 /// Share of agreeing sightings below which a pose is weak.
 const GOOD_SHARE: f64 = 0.5;
+/// Share of agreeing sightings below which the pose must also be one that a car can have come to: over a few lost frames much that
+/// looks alike is matched by chance, and half of it may agree on a jump.
+const SURE_SHARE: f64 = 0.7;
+/// Sideways and up, in standard deviations of the prior: 0.7 at most where matches are right, 2.6 at least where they are not.
+const MAX_ACROSS_SIGMAS: f64 = 2.0;
 /// Median flow of a standing car: sensor noise.
 const STANDING_PX: f32 = 0.3;
 /// Wheel travel between frames that is none; a few tenths of a count.
@@ -59,6 +64,9 @@ const VIEW_PARALLAX_PX: f32 = 20.0;
 const VIEW_SURVIVORS: f64 = 0.6;
 /// Parallax below which even lost tracks are no reason: nothing could be triangulated.
 const VIEW_MIN_TRAVEL_M: f64 = 0.1;
+/// Longest time between two frames over which a car that drives follows its tracks: after it, what is found is too often something
+/// else.
+const MAX_GAP_S: f64 = 0.5;
 /// Longest time over which a turn rate is carried on.
 const MAX_CARRY_S: f64 = 0.5;
 
@@ -213,9 +221,12 @@ impl Tracker {
         let predicted = self
             .rolling
             .motion(motion.prior.distance_m, motion.prior.rotation);
+        let is_rolling = motion.prior.distance_m.abs() >= STANDING_M;
+        if motion.dt_s > MAX_GAP_S && is_rolling {
+            self.tracks.clear();
+        }
         let flow_px = self.follow_tracks(previous, current, plane_in_camera, &predicted);
-        let standing = flow_px.is_some_and(|px| px < STANDING_PX)
-            && (motion.prior.distance_m.abs() < STANDING_M || !motion.measured);
+        let standing = flow_px.is_some_and(|px| px < STANDING_PX) && !(is_rolling && motion.measured);
         let pose = if standing {
             self.stand(&motion)
         } else {
@@ -514,10 +525,13 @@ impl Tracker {
             &mut self.residuals[..count],
         );
         self.inliers = self.residuals[..count].iter().filter(|r| agrees(r)).count();
-        self.state = if self.inliers < MIN_INLIERS {
+        let is_short_of = |share: f64| (self.inliers as f64) < share * count as f64;
+        let is_jump =
+            is_short_of(SURE_SHARE) && motion.prior.across_sigmas(&self.rolling, &pose) > MAX_ACROSS_SIGMAS;
+        self.state = if self.inliers < MIN_INLIERS || is_jump {
             pose = motion.prior.world_from_previous * predicted;
             TrackingState::DeadReckoning
-        } else if self.inliers < GOOD_INLIERS || (self.inliers as f64) < GOOD_SHARE * count as f64 {
+        } else if self.inliers < GOOD_INLIERS || is_short_of(GOOD_SHARE) {
             TrackingState::Weak
         } else {
             TrackingState::Good
@@ -541,9 +555,10 @@ impl Tracker {
         let current_from_world = pose.inverse();
         let sigma_rad = 0.7 / self.focal_px;
         if self.state == TrackingState::DeadReckoning {
-            // What agrees on no motion, as after a gap in the frames, was matched by chance: neither the next frame nor the map may
-            // take it for a sighting of what was known before.
+            // What agrees on no motion of a car was matched by chance: neither the next frame nor the map may take it for a
+            // sighting of what was known before.
             self.tracks.clear();
+            self.inliers = 0;
             return;
         }
         let frame = self.frame + 1;
