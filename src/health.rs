@@ -186,7 +186,7 @@ impl Faults {
     pub const WHEELS_SILENT: Self = Self(1 << 5);
     /// Wheel travel and visual travel disagree: slip, lock or a stuck encoder.
     pub const WHEELS_SLIP: Self = Self(1 << 6);
-    /// Too few landmarks are tracked for a pose.
+    /// Too few tracks agree on a pose, or on one that a car can have come to: it is dead-reckoned.
     pub const TRACKING_LOST: Self = Self(1 << 7);
     /// The network did not end within its slice.
     pub const NETWORK_LATE: Self = Self(1 << 8);

@@ -265,6 +265,8 @@ fn after_a_gap_in_the_frames_the_road_lies_where_it_lay() {
                 until: Micros(from_micros + gap_micros),
             };
             let log = drive.run(Some(injection));
+            let last = log.rows.last().unwrap();
+            assert!(last.level <= QualityLevel::NoRefinement, "{}", log.table());
             for row in log
                 .rows
                 .iter()

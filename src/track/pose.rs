@@ -424,6 +424,28 @@ mod tests {
     }
 
     #[test]
+    fn a_pose_off_the_path_is_told_in_standard_deviations() {
+        let rolling = rolling();
+        let prior = Prior {
+            world_from_previous: Pose::translation(3.0, 2.0, 1.0),
+            rotation: UnitQuaternion::identity(),
+            distance_m: 5.0,
+            sigma_rotation_rad: 0.02,
+            sigma_along_m: 0.05,
+            sigma_across_m: 0.1,
+        };
+        // Any turn is a path, and the distance is another matter.
+        for (distance_m, heading_rad) in [(5.0, 0.0), (5.0, 0.2), (4.0, 0.0)] {
+            let on_path = prior.world_from_previous * rolling.motion(distance_m, rolling.turn(heading_rad));
+            assert!(prior.across_sigmas(&rolling, &on_path) < 1e-6);
+        }
+        let straight = prior.world_from_previous * rolling.motion(5.0, UnitQuaternion::identity());
+        let risen = straight * Pose::translation(0.3, 0.4, 0.0);
+        let sigmas = prior.across_sigmas(&rolling, &risen);
+        assert!((sigmas - 5.0).abs() < 0.05, "{sigmas}");
+    }
+
+    #[test]
     fn nothing_seen_is_dead_reckoning() {
         let rolling = rolling();
         let prior = Prior {

@@ -230,6 +230,41 @@ fn a_gap_in_the_frames_ends_the_tracks() {
     assert!(view.observations.iter().all(|seen| seen.track > newest));
 }
 
+/// Half a second is too long to carry on with the turn of the last frame, and what it had of pitch and roll.
+#[test]
+fn after_a_gap_the_wheels_tell_the_heading() {
+    let mut drive = Drive::new();
+    let mut last = drive.step(0.6, 0.02, true);
+    for _ in 0..4 {
+        last = drive.step(0.6, 0.02, true);
+    }
+    drive.stamp = drive.stamp.plus(900_000);
+    // The wheels of these drives say that they go straight on.
+    let after = drive.step(6.0, 0.0, true);
+    assert_eq!(after.state, TrackingState::DeadReckoning);
+    let turned = last
+        .world_from_camera
+        .rotation
+        .angle_to(&after.world_from_camera.rotation);
+    assert!(turned < 1e-9, "{turned}");
+}
+
+#[test]
+fn a_car_that_stands_through_a_gap_keeps_its_tracks() {
+    for has_wheels in [true, false] {
+        let mut drive = Drive::new();
+        drive.step(0.5, 0.0, has_wheels);
+        let before = drive.step(0.5, 0.0, has_wheels);
+        let halted = drive.step(0.0, 0.0, has_wheels);
+        drive.stamp = drive.stamp.plus(4_000_000);
+        let after = drive.step(0.0, 0.0, has_wheels);
+        assert_eq!(after.state, TrackingState::Standstill);
+        assert!(after.tracks * 10 > before.tracks * 8);
+        let moved = halted.world_from_camera.inv_mul(&after.world_from_camera);
+        assert!(moved.translation.vector.norm() < 1e-9, "{moved}");
+    }
+}
+
 /// The map answers two frames late: the poses since are carried over, rescaled.
 #[test]
 fn a_late_correction_moves_the_present() {
