@@ -8,6 +8,7 @@ mod corner_score;
 mod corners;
 mod keypoint;
 mod klt;
+mod motion;
 mod pose;
 mod predict;
 mod rolling;

@@ -5,7 +5,8 @@
 //! [`Tracker::apply`]: the poses since its view are carried over, landmarks replaced.
 //!
 //! Invariant: tracks are ordered by [`TrackId`]; the pose is always finite and always answered, by dead reckoning if by
-//! nothing else, and then all tracks end. Cost: at most [`MAX_TRACKS`] tracks, each followed there and back. When all places are taken no corner is added.
+//! nothing else, and then all tracks end. Cost: at most [`MAX_TRACKS`] tracks, each followed there and back. When all places are
+//! taken no corner is added.
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -19,7 +20,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use heapless::Deque;
-use nalgebra::{UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 #[allow(
     unused_imports,
     reason = "float methods come from std where that feature is on"
@@ -28,9 +29,9 @@ use num_traits::Float as _;
 
 use super::corners::CornerFinder;
 use super::keypoint::Keypoint;
-use super::pose::{Prior, Residual, Sighting, solve};
+use super::motion::{Foretold, MotionModel};
+use super::pose::{Residual, Sighting, solve};
 use super::predict::Predictor;
-use super::rolling::Rolling;
 use super::search::{guesses, there_and_back};
 use super::{TrackId, Travel};
 use crate::budget::{MAX_TRACKS, RECENT_POSES};
@@ -70,9 +71,6 @@ const VIEW_MIN_TRAVEL_M: f64 = 0.1;
 /// Longest time between two frames over which a car that drives follows its tracks: after 0.7 s half of what is found at 640x480 is
 /// something else, after 0.6 s at 320x240.
 const MAX_GAP_S: f64 = 0.5;
-/// Longest time over which a turn rate is carried on.
-const MAX_CARRY_S: f64 = 0.5;
-
 /// How the tracker starts and how much it follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(
@@ -126,7 +124,6 @@ struct Past {
 pub struct Tracker {
     camera: Camera,
     focal_px: f64,
-    rolling: Rolling,
     tracks: Vec<Keypoint>,
     /// Tracks alive at most: cells with many old tracks must not push the total up.
     most_tracks: usize,
@@ -135,11 +132,7 @@ pub struct Tracker {
     /// Newest last.
     past: Deque<Past, RECENT_POSES>,
     frame: u64,
-    /// `previous_from_current` of the last step, its time, and the speed along the path.
-    turn: UnitQuaternion<f64>,
-    turn_s: f64,
-    speed_mps: f64,
-    travel: Option<Travel>,
+    motion: MotionModel,
     state: TrackingState,
     inliers: usize,
     /// Stamp, pose and number of observations of the last view.
@@ -170,17 +163,13 @@ impl Tracker {
         Self {
             camera: *camera,
             focal_px: camera.lens.focal_px(),
-            rolling: Rolling::new(&camera.mount),
             tracks: Vec::with_capacity(MAX_TRACKS),
             most_tracks: (wanted + wanted / 10).min(MAX_TRACKS),
             next_id: 0,
             finder: CornerFinder::new(camera.width, camera.height, horizon_px, wanted),
             past: Deque::new(),
             frame: 0,
-            turn: UnitQuaternion::identity(),
-            turn_s: 0.0,
-            speed_mps: config.initial_speed_mps,
-            travel: None,
+            motion: MotionModel::new(&camera.mount, config.initial_speed_mps),
             state: TrackingState::DeadReckoning,
             inliers: 0,
             viewed: None,
@@ -213,27 +202,30 @@ impl Tracker {
         travel: Option<Travel>,
         plane_in_camera: &Plane,
     ) -> FrameEstimate {
-        let Some(motion) = self.foretell(stamp, travel) else {
+        let foretold = self.foretell(stamp, travel);
+        self.motion.travel = travel;
+        let Some(foretold) = foretold else {
             let world_from_camera = self.origin;
-            self.travel = travel;
             self.remember(stamp, world_from_camera);
             self.add_corners(current, plane_in_camera);
             self.state = TrackingState::DeadReckoning;
             return self.estimate(stamp, world_from_camera);
         };
-        let predicted = self
-            .rolling
-            .motion(motion.prior.distance_m, motion.prior.rotation);
-        let flow_px = self.follow_tracks(previous, current, plane_in_camera, &predicted);
+        let flow_px = self.follow_tracks(
+            previous,
+            current,
+            plane_in_camera,
+            &foretold.previous_from_current,
+        );
         let standing = flow_px.is_some_and(|px| px < STANDING_PX)
-            && (motion.prior.distance_m.abs() < STANDING_M || !motion.measured);
+            && (foretold.prior.distance_m.abs() < STANDING_M || !foretold.measured);
         let pose = if standing {
-            self.stand(&motion)
+            self.stand(&foretold)
         } else {
-            if motion.dt_s > MAX_GAP_S {
+            if foretold.dt_s > MAX_GAP_S {
                 self.tracks.clear();
             }
-            self.solve_pose(&motion, &predicted)
+            self.solve_pose(&foretold)
         };
         self.remember(stamp, pose);
         self.consider_view(&pose);
@@ -243,19 +235,14 @@ impl Tracker {
 
     /// A frame without a usable picture: the pose is dead-reckoned, the tracks wait for the next good one, half a second at most.
     pub fn coast(&mut self, stamp: Micros, travel: Option<Travel>) -> FrameEstimate {
-        let last_travel = self.travel;
         let pose = match self.foretell(stamp, travel) {
-            Some(motion) => {
+            Some(foretold) => {
                 self.state = TrackingState::DeadReckoning;
                 self.inliers = 0;
-                motion.prior.world_from_previous
-                    * self
-                        .rolling
-                        .motion(motion.prior.distance_m, motion.prior.rotation)
+                foretold.pose()
             }
             None => self.origin,
         };
-        self.travel = last_travel;
         // Not remembered: the tracks still belong to the last good frame, and so does its pose.
         FrameEstimate {
             travel,
@@ -305,9 +292,7 @@ impl Tracker {
         if let Some((_, pose, _)) = &mut self.viewed {
             *pose = correct(pose);
         }
-        if self.travel.is_none() {
-            self.speed_mps *= update.rescale;
-        }
+        self.motion.rescale(update.rescale);
         let mut landmarks = update.landmarks.iter().peekable();
         for track in &mut self.tracks {
             track.inverse_m /= update.rescale;
@@ -323,7 +308,7 @@ impl Tracker {
     /// Writes the newest frame as a view and counts parallax from here on.
     pub fn view_into(&mut self, out: &mut View) {
         out.observations.clear();
-        out.travel = self.travel;
+        out.travel = self.motion.travel;
         if let Some(past) = self.past.back() {
             out.stamp = past.stamp;
             out.world_from_camera = past.world_from_camera;
@@ -367,7 +352,7 @@ impl Tracker {
             state: self.state,
             tracks: self.tracks.len(),
             inliers: self.inliers,
-            travel: self.travel,
+            travel: self.motion.travel,
         }
     }
 
@@ -387,59 +372,7 @@ impl Tracker {
     }
 }
 
-/// The motion foretold for a step.
-struct Foretold {
-    prior: Prior,
-    dt_s: f64,
-    /// Whether the wheels say so.
-    measured: bool,
-}
-
 impl Tracker {
-    /// Constant turn rate, the wheels' distance; none before the first frame.
-    fn foretell(&mut self, stamp: Micros, travel: Option<Travel>) -> Option<Foretold> {
-        let last = *self.past.back()?;
-        let before = self.travel;
-        self.travel = travel;
-        let dt_s = stamp.seconds_since(last.stamp).max(1e-3);
-        let rolled = before.zip(travel).map(|(before, now)| Travel {
-            distance_m: now.distance_m - before.distance_m,
-            heading_rad: now.heading_rad - before.heading_rad,
-        });
-        let rolled = rolled.filter(|r| r.distance_m.is_finite() && r.heading_rad.is_finite());
-        let carried = if self.turn_s > 0.0 {
-            self.turn.powf(dt_s.min(MAX_CARRY_S) / self.turn_s)
-        } else {
-            UnitQuaternion::identity()
-        };
-        let is_turn_known =
-            dt_s <= MAX_CARRY_S && matches!(self.state, TrackingState::Good | TrackingState::Weak);
-        let rotation = rolled
-            .filter(|_| !is_turn_known)
-            .map_or(carried, |rolled| self.rolling.turn(rolled.heading_rad));
-        let distance_m = rolled.map_or(self.speed_mps * dt_s, |r| r.distance_m);
-        let sigma_along_m = if rolled.is_some() {
-            0.01 * distance_m.abs() + 0.005
-        } else {
-            // A car brakes or gains 3 m/s^2.
-            0.01 * distance_m.abs() + 0.01 + 1.5 * dt_s * dt_s
-        };
-        let prior = Prior {
-            world_from_previous: last.world_from_camera,
-            rotation,
-            distance_m,
-            // An angular acceleration of 1.5 rad/s^2: a bump, a steering wheel turned fast.
-            sigma_rotation_rad: 0.004 + 1.5 * dt_s * dt_s.min(MAX_CARRY_S),
-            sigma_along_m,
-            sigma_across_m: 0.02 * distance_m.abs() + 0.005,
-        };
-        Some(Foretold {
-            prior,
-            dt_s,
-            measured: rolled.is_some(),
-        })
-    }
-
     /// Moves every track into the new frame, drops those that are lost; the median flow.
     fn follow_tracks(
         &mut self,
@@ -482,19 +415,25 @@ impl Tracker {
         median(&mut self.sorted)
     }
 
-    fn stand(&mut self, motion: &Foretold) -> Pose {
-        self.state = TrackingState::Standstill;
-        self.inliers = self.tracks.len();
-        self.turn = UnitQuaternion::identity();
-        self.turn_s = motion.dt_s;
-        if !motion.measured {
-            // Kept as the guess for driving off would be wrong by the whole speed: start slowly, let landmarks correct.
-            self.speed_mps *= 0.5;
-        }
-        motion.prior.world_from_previous
+    /// What is foretold from the last frame on; none before the first.
+    fn foretell(&self, stamp: Micros, travel: Option<Travel>) -> Option<Foretold> {
+        let last = self.past.back()?;
+        let dt_s = stamp.seconds_since(last.stamp).max(1e-3);
+        let is_turn_seen = matches!(self.state, TrackingState::Good | TrackingState::Weak);
+        Some(
+            self.motion
+                .foretell(last.world_from_camera, dt_s, travel, is_turn_seen),
+        )
     }
 
-    fn solve_pose(&mut self, motion: &Foretold, predicted: &Pose) -> Pose {
+    fn stand(&mut self, foretold: &Foretold) -> Pose {
+        self.state = TrackingState::Standstill;
+        self.inliers = self.tracks.len();
+        self.motion.stood(foretold);
+        foretold.prior.world_from_previous
+    }
+
+    fn solve_pose(&mut self, foretold: &Foretold) -> Pose {
         let oldest = self.past.front().map_or(0, |past| past.frame);
         self.earlier.clear();
         self.earlier
@@ -519,8 +458,8 @@ impl Tracker {
         }
         let count = self.sightings.len();
         let mut pose = solve(
-            &self.rolling,
-            &motion.prior,
+            &self.motion.rolling,
+            &foretold.prior,
             &self.earlier,
             self.focal_px,
             &self.sightings,
@@ -528,27 +467,27 @@ impl Tracker {
         );
         self.inliers = self.residuals[..count].iter().filter(|r| agrees(r)).count();
         let is_short_of = |share: f64| (self.inliers as f64) < share * count as f64;
-        let is_jump = motion.dt_s > LOST_FRAMES_S
+        let is_jump = foretold.dt_s > LOST_FRAMES_S
             && is_short_of(SURE_SHARE)
-            && motion.prior.across_sigmas(&self.rolling, &pose) > MAX_ACROSS_SIGMAS;
+            && foretold.prior.across_sigmas(&self.motion.rolling, &pose) > MAX_ACROSS_SIGMAS;
         self.state = if self.inliers < MIN_INLIERS || is_jump {
-            pose = motion.prior.world_from_previous * predicted;
+            pose = foretold.pose();
             TrackingState::DeadReckoning
         } else if self.inliers < GOOD_INLIERS || is_short_of(GOOD_SHARE) {
             TrackingState::Weak
         } else {
             TrackingState::Good
         };
-        let previous_from_current = motion.prior.world_from_previous.inv_mul(&pose);
-        self.turn = previous_from_current.rotation;
-        self.turn_s = motion.dt_s;
-        let moved_m = previous_from_current.translation.vector.norm();
-        self.speed_mps = if motion.measured {
-            motion.prior.distance_m / motion.dt_s
+        let previous_from_current = foretold.prior.world_from_previous.inv_mul(&pose);
+        self.motion.moved(foretold, &previous_from_current);
+        if self.state == TrackingState::DeadReckoning {
+            // Too few, or what was matched by chance: neither the next frame nor the map may take it for a sighting of what was
+            // known before.
+            self.tracks.clear();
+            self.inliers = 0;
         } else {
-            moved_m / motion.dt_s
-        };
-        self.judge_tracks(&pose, &previous_from_current, oldest);
+            self.judge_tracks(&pose, &previous_from_current, oldest);
+        }
         pose
     }
 
@@ -557,13 +496,6 @@ impl Tracker {
         let current_from_previous = previous_from_current.inverse();
         let current_from_world = pose.inverse();
         let sigma_rad = 0.7 / self.focal_px;
-        if self.state == TrackingState::DeadReckoning {
-            // Too few, or what was matched by chance: neither the next frame nor the map may take it for a sighting of what was
-            // known before.
-            self.tracks.clear();
-            self.inliers = 0;
-            return;
-        }
         let frame = self.frame + 1;
         let mut kept = 0;
         for index in 0..self.tracks.len() {
