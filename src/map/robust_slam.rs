@@ -7,9 +7,11 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "counts are bounded by the window")]
 
+mod placing;
+
 use alloc::vec::Vec;
 
-use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::Point3;
 #[allow(
     unused_imports,
     reason = "float methods come from std where that feature is on"
@@ -17,16 +19,14 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use num_traits::Float as _;
 
 use super::bundle::{Bundle, landmark_depth_sigma};
-use super::motion_factor::{Rig, wheel_sigma_m};
+use super::motion_factor::Rig;
 use super::resection::{Resection, mismatch, resect};
-use super::rotation_averaging::{RotationEdge, average_rotations};
 use super::scale::{ScaleMonitor, Verdict, VisualStep};
-use super::translation_averaging::{DirectionEdge, StepEdge, average_translations};
 use super::triangulate::triangulate;
-use super::two_view::{Match, Pcg, relative_pose};
+use super::two_view::{Match, Pcg};
 use super::window::{MAX_STRIKES, NO_POINT, WheelStep, Window, is_finite};
 use super::{Landmark, MapUpdate, View, ViewBatch};
-use crate::budget::{BASE_ITERATIONS, BATCH_VIEWS, MAX_LANDMARKS, MAX_TRACKS, VIEW_GRAPH_SPAN, WINDOW_VIEWS};
+use crate::budget::{BASE_ITERATIONS, MAX_LANDMARKS, MAX_TRACKS};
 use crate::frame::Camera;
 use crate::health::ScaleState;
 use crate::space::Pose;
@@ -38,14 +38,8 @@ const FINISH_GATE_PX: f64 = 3.0;
 const MIN_AGREEMENT: f64 = 0.6;
 /// Depth over its standard deviation, at least, for a landmark to be given out.
 const MIN_DEPTH_CERTAINTY: f64 = 4.0;
-/// Weight of a tracked rotation among the averaged ones, in inliers.
-const TRACKED_WEIGHT: f64 = 5.0;
-/// Standard deviation of a tracked step without wheels, as a share.
-const TRACKED_STEP_SIGMA: f64 = 0.1;
 /// Views whose tracks the tracker may still follow.
 const LIVE_VIEWS: usize = 2;
-
-const EDGES: usize = BATCH_VIEWS * (VIEW_GRAPH_SPAN + 1);
 
 /// What the map may be told.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,7 +53,7 @@ pub struct MapConfig {
     pub seed: u64,
 }
 
-/// A metric map of the last [`WINDOW_VIEWS`] views.
+/// A metric map of the last [`WINDOW_VIEWS`](crate::budget::WINDOW_VIEWS) views.
 #[derive(Debug)]
 pub struct Map {
     camera: Camera,
@@ -72,13 +66,6 @@ pub struct Map {
     rescaled: f64,
     matches: Vec<Match>,
     landmarks: Vec<Landmark>,
-}
-
-/// The graph of the new views' relative poses.
-struct ViewGraph {
-    rotations: heapless::Vec<RotationEdge, EDGES>,
-    /// Direction in the first view's space; it becomes one in world space once rotations are averaged.
-    directions: heapless::Vec<DirectionEdge, EDGES>,
 }
 
 impl Map {
@@ -355,157 +342,6 @@ impl Map {
             length_m: self.rig.step_m(first, &seen.world_from_camera),
             sigma_m: (variance(seen) + before.map_or(0.0, variance)).sqrt(),
         })
-    }
-
-    /// Poses of the new views: motion averaging over the batch, then the landmarks where there are enough of them.
-    fn place(&mut self, first_new: usize) {
-        let count = self.window.views().len();
-        let held = first_new.max(1);
-        if count <= held {
-            return;
-        }
-        let graph = self.view_graph(held);
-        let mut rotations: heapless::Vec<UnitQuaternion<f64>, WINDOW_VIEWS> = self
-            .window
-            .views()
-            .iter()
-            .map(|v| v.world_from_camera.rotation)
-            .collect();
-        average_rotations(&graph.rotations, held, &mut rotations);
-        let positions = self.averaged_positions(&graph, held, &rotations);
-        for j in held..count {
-            let averaged = Pose::from_parts(Translation3::from(positions[j]), rotations[j]);
-            let view = &self.window.views()[j];
-            let chained = self.window.views()[j - 1].world_from_camera * view.tracked_step;
-            let start = self.better(j, averaged, chained);
-            let seen = resect(view, &self.window.points, &start);
-            let pose = seen.map_or(start, |r| self.better(j, r.world_from_camera, start));
-            if is_finite(&pose) {
-                let view = &mut self.window.views_mut()[j];
-                view.world_from_camera = pose;
-                view.world_from_camera.rotation.renormalize();
-            }
-        }
-    }
-
-    /// The first pose unless the landmarks fit the second clearly better.
-    fn better(&self, view: usize, first: Pose, second: Pose) -> Pose {
-        let view = &self.window.views()[view];
-        let fit = |pose: &Pose| mismatch(view, &self.window.points, pose);
-        match (fit(&first), fit(&second)) {
-            (Some(a), Some(b)) if b < a => second,
-            _ if is_finite(&first) => first,
-            _ => second,
-        }
-    }
-
-    /// Relative poses of each new view with the [`VIEW_GRAPH_SPAN`] before it.
-    fn view_graph(&mut self, held: usize) -> ViewGraph {
-        let mut graph = ViewGraph {
-            rotations: heapless::Vec::new(),
-            directions: heapless::Vec::new(),
-        };
-        let focal_px = self.camera.lens.focal_px();
-        for second in held..self.window.views().len() {
-            let mut tracked = Pose::identity();
-            for first in (second.saturating_sub(VIEW_GRAPH_SPAN)..second).rev() {
-                let views = self.window.views();
-                tracked = views[first + 1].tracked_step * tracked;
-                if first + 1 == second {
-                    let edge = RotationEdge {
-                        first,
-                        second,
-                        rotation: tracked.rotation,
-                        weight: TRACKED_WEIGHT,
-                    };
-                    let _ = graph.rotations.push(edge);
-                }
-                self.collect_matches(first, second);
-                let Some(pair) = relative_pose(&self.matches, &tracked, focal_px, &mut self.random) else {
-                    continue;
-                };
-                let weight = pair.inliers as f64;
-                let _ = graph.rotations.push(RotationEdge {
-                    first,
-                    second,
-                    rotation: pair.rotation,
-                    weight,
-                });
-                if pair.has_parallax {
-                    let _ = graph.directions.push(DirectionEdge {
-                        first,
-                        second,
-                        direction: pair.direction,
-                        weight,
-                    });
-                }
-            }
-        }
-        graph
-    }
-
-    fn collect_matches(&mut self, first: usize, second: usize) {
-        self.matches.clear();
-        let (a, b) = (
-            &self.window.views()[first].sightings,
-            &self.window.views()[second].sightings,
-        );
-        let mut k = 0;
-        for sighting in a {
-            while k < b.len() && b[k].track < sighting.track {
-                k += 1;
-            }
-            if k < b.len() && b[k].track == sighting.track {
-                self.matches.push(Match {
-                    first: sighting.bearing(),
-                    second: b[k].bearing(),
-                });
-            }
-        }
-    }
-
-    fn averaged_positions(
-        &self,
-        graph: &ViewGraph,
-        held: usize,
-        rotations: &[UnitQuaternion<f64>],
-    ) -> heapless::Vec<Vector3<f64>, WINDOW_VIEWS> {
-        let views = self.window.views();
-        let mut positions: heapless::Vec<Vector3<f64>, WINDOW_VIEWS> = views
-            .iter()
-            .map(|v| v.world_from_camera.translation.vector)
-            .collect();
-        let in_world: heapless::Vec<DirectionEdge, EDGES> = graph
-            .directions
-            .iter()
-            .map(|edge| DirectionEdge {
-                direction: rotations[edge.first] * edge.direction,
-                // The best pair counts one; the deviation is in radians already.
-                weight: edge.weight / MAX_TRACKS as f64,
-                ..*edge
-            })
-            .collect();
-        let mut steps: heapless::Vec<StepEdge, WINDOW_VIEWS> = heapless::Vec::new();
-        for second in held..views.len() {
-            let first = second - 1;
-            let offset =
-                rotations[second] * self.rig.rear_in_camera - rotations[first] * self.rig.rear_in_camera;
-            let tracked_m = self.rig.step_m(&Pose::identity(), &views[second].tracked_step);
-            let (length_m, sigma_m) = views[second]
-                .wheel_step
-                .map_or((tracked_m, TRACKED_STEP_SIGMA * tracked_m + 0.05), |wheel| {
-                    (wheel.chord_m, wheel_sigma_m(wheel.chord_m))
-                });
-            let _ = steps.push(StepEdge {
-                first,
-                second,
-                offset,
-                length_m,
-                sigma_m,
-            });
-        }
-        average_translations(&in_world, &steps, held, &mut positions);
-        positions
     }
 
     /// Leaves out sightings of known landmarks that are far off, before they pull at the adjustment.

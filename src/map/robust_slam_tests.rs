@@ -1,10 +1,11 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 use super::super::street::{Street, WheelFault, map};
 use super::*;
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;
 
 use super::super::Observation;
+use crate::budget::BATCH_VIEWS;
 use crate::space::Micros;
 use crate::track::{TrackId, Travel};
 
