@@ -192,6 +192,8 @@ async function poll() {
     if (!answer.ok) throw new Error(String(answer.status));
     const state = await answer.json();
     await fetchCells(state);
+    // Pressed while the answer was under way: a paused page stays as it is, and says so.
+    if (shown.isPaused) return;
     show(state);
     showPicture(state);
     drawAll();
